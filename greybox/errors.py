@@ -1,0 +1,68 @@
+"""The errors that greybox raises. Each is also the builtin that a caller would catch.
+
+An error is one line: what was expected, what came, where, and the usual fix. The command line prints that line and
+ends with exit code 2.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class GreyboxError(Exception):
+    """Base of all errors that greybox raises on purpose. `str(error)` is one line for a person."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        where: str | None = None,
+        expected: str | None = None,
+        got: str | None = None,
+        fix: str | None = None,
+    ) -> None:
+        parts = [f"{where}: {message}" if where else message]
+        if expected:
+            parts.append(f"expected {expected}")
+        if got:
+            parts.append(f"got {got}")
+        line = "; ".join(parts)
+        if fix:
+            line += f". Usual fix: {fix}"
+        self.line = " ".join(line.split())
+        super().__init__(self.line)
+
+    def __str__(self) -> str:
+        return self.line
+
+
+class DataError(GreyboxError, ValueError):
+    """A log or a data set is not what its format promises."""
+
+
+class VehicleError(GreyboxError, ValueError):
+    """A vehicle file is not what its format promises."""
+
+
+class ModelError(GreyboxError, ValueError):
+    """A model cannot be built from the parts that were given."""
+
+
+class FileFormatError(GreyboxError, ValueError):
+    """A result or model file has the wrong schema, version or checksum."""
+
+
+class UnknownNameError(GreyboxError, KeyError):
+    """A name that greybox does not know; the message carries the nearest names."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], *, where: str | None = None) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+        fix = f"did you mean {' or '.join(near)}?" if near else f"known: {shown}"
+        super().__init__(f"unknown {kind} '{name}'", where=where, fix=fix)
+
+
+class FitError(GreyboxError, RuntimeError):
+    """An estimate could not be computed at all (a fit that merely did not converge is a status, not an error)."""

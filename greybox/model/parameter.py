@@ -1,0 +1,82 @@
+"""Parameter: the declaration of a number of the model. ParameterValues: numbers under those names. Never mixed up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from greybox.errors import ModelError, UnknownNameError
+
+Scope = Literal["shared", "flight"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """Declaration of one scalar parameter. It never holds an estimate; free or fixed is a choice of the fit call.
+
+    `nominal` is the value where nothing else is said, `null` the value that removes the effect (None where there is
+    no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior), `scale`
+    the size of a typical change (for conditioning and for random starts).
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    null: float | None = None
+    sigma: float = math.inf
+    scale: float = 1.0
+    scope: Scope = "shared"
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.nominal <= self.upper:
+            raise ModelError(
+                f"parameter {self.name}: nominal {self.nominal:g} is outside its bounds",
+                expected=f"{self.lower:g} .. {self.upper:g}",
+            )
+        if not self.scale > 0 or not math.isfinite(self.scale):
+            raise ModelError(f"parameter {self.name}: scale must be positive and finite", got=f"{self.scale:g}")
+        if not self.sigma >= 0:
+            raise ModelError(f"parameter {self.name}: sigma must not be negative", got=f"{self.sigma:g}")
+
+
+class ParameterValues(Mapping[str, float]):
+    """Names -> numbers, immutable. `replace(**)` gives a changed copy; an unknown name is an error with near names."""
+
+    __slots__ = ("_values",)
+
+    def __init__(self, values: Mapping[str, float] | Iterable[tuple[str, float]]) -> None:
+        self._values = {k: float(v) for k, v in dict(values).items()}
+
+    def __getitem__(self, name: str) -> float:
+        try:
+            return self._values[name]
+        except KeyError:
+            raise UnknownNameError("parameter", name, self._values) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    def replace(self, changes: Mapping[str, float]) -> ParameterValues:
+        """A copy with `changes` applied. Raises `UnknownNameError` for a name that is not there."""
+        for name in changes:
+            self[name]
+        return ParameterValues({**self._values, **changes})
+
+    def __repr__(self) -> str:
+        return "ParameterValues(" + ", ".join(f"{k}={v:.6g}" for k, v in self._values.items()) + ")"
+
+
+def nominal_values(parameters: Iterable[Parameter]) -> ParameterValues:
+    """The nominal value of every declared parameter."""
+    return ParameterValues({p.name: p.nominal for p in parameters})

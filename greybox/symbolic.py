@@ -1,0 +1,109 @@
+"""The seam to CasADi: named layouts, safe norms, smooth switches, and evaluation over many samples.
+
+CasADi has no type stubs; `Expr` stands for an SX or MX expression everywhere else in greybox.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import ModelError, UnknownNameError
+
+Expr = Any
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signal:
+    """One scalar of a vector: its name, its unit (SI string) and what it means."""
+
+    name: str
+    unit: str
+    meaning: str = ""
+
+
+class Layout:
+    """An ordered set of named scalar signals: maps names to positions in a vector.
+
+    Immutable. `layout["omega.x"]` is the index; iteration gives the signals. Raises `UnknownNameError` for a name that
+    is not there, and `ModelError` for a name that is there twice.
+    """
+
+    __slots__ = ("_index", "signals")
+
+    def __init__(self, signals: Sequence[Signal]) -> None:
+        self.signals = tuple(signals)
+        self._index = {s.name: i for i, s in enumerate(self.signals)}
+        if len(self._index) != len(self.signals):
+            names = [s.name for s in self.signals]
+            double = sorted({n for n in names if names.count(n) > 1})
+            raise ModelError(f"signal names given twice: {', '.join(double)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names in order."""
+        return tuple(self._index)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units in order."""
+        return tuple(s.unit for s in self.signals)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    def __iter__(self) -> Iterator[Signal]:
+        return iter(self.signals)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._index
+
+    def __getitem__(self, name: str) -> int:
+        try:
+            return self._index[name]
+        except KeyError:
+            raise UnknownNameError("signal", name, self._index) from None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and self.signals == other.signals
+
+    def __hash__(self) -> int:
+        return hash(self.signals)
+
+    def __repr__(self) -> str:
+        return f"Layout({', '.join(self.names)})"
+
+    def __add__(self, other: Layout) -> Layout:
+        return Layout((*self.signals, *other.signals))
+
+
+def safe_norm(v: Expr, eps: float = 1e-12) -> Expr:
+    """Euclidean norm that is differentiable at zero: sqrt(v.v + eps^2) - eps, exactly 0 at v = 0."""
+    return ca.sqrt(ca.sumsqr(v) + eps * eps) - eps
+
+
+def smooth_step(x: Expr, width: float) -> Expr:
+    """Smooth switch from 0 (x << 0) to 1 (x >> 0), 1/2 at x = 0; `width` in the unit of x."""
+    return 0.5 * (1.0 + ca.tanh(x / width))
+
+
+def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
+    """Evaluate a single-output CasADi function over many samples, time first.
+
+    Each argument is an array (N, n_i) (or (n_i,) for a value that all samples share); the result is (N, n_out).
+    """
+    arrays = [np.asarray(c, dtype=np.float64) for c in columns]
+    lengths = {a.shape[0] for a in arrays if a.ndim == 2}
+    if len(lengths) > 1:
+        raise ModelError(f"arrays of different length: {sorted(lengths)}")
+    n = lengths.pop() if lengths else 1
+    if n == 0:
+        return np.zeros((0, function.size1_out(0)))
+    args = [a.T if a.ndim == 2 else np.repeat(a.reshape(-1, 1), n, axis=1) for a in arrays]
+    return np.asarray(function.map(n)(*args).full(), dtype=np.float64).T
