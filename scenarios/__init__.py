@@ -1,0 +1,1 @@
+"""Real flights, simulated plants, excitation designs and studies."""

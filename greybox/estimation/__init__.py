@@ -1,0 +1,1 @@
+"""Estimation: predictor x criterion x solver x initialisation, on any Dynamics."""

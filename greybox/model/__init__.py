@@ -1,0 +1,1 @@
+"""Models: parameters, vehicle, effects, sensors, the Newton-Euler core and its integration."""

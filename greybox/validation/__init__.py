@@ -1,0 +1,1 @@
+"""Validation: metrics, residual tests, multi-step errors."""

@@ -1,0 +1,1 @@
+"""Excitation designs, one file each."""

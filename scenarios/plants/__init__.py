@@ -1,0 +1,1 @@
+"""Simulated plants in NumPy, independent of greybox's equations."""

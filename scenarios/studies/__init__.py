@@ -1,0 +1,1 @@
+"""Studies: one file tells one story."""

@@ -1,0 +1,1 @@
+"""Criteria: one file is one member."""

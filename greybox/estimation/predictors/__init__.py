@@ -1,0 +1,1 @@
+"""Predictors: one file is one member."""

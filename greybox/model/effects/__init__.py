@@ -1,0 +1,1 @@
+"""Effects: one file is one effect; the catalogue tuple lists them."""

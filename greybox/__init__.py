@@ -1,0 +1,1 @@
+"""Grey-box identification of small multirotors: physics by the prediction error method."""

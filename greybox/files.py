@@ -1,0 +1,120 @@
+"""Files that are never half-written: atomic writes, checksums, and JSON that other tools can read.
+
+JSON has no NaN or infinity, so that these are written as null.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import FileFormatError, GreyboxError
+
+
+class OutputError(GreyboxError, OSError):
+    """A result cannot be written where it was asked for."""
+
+
+def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
+    """Write `content` so that at any moment either the old or the new file is there. Returns the path.
+
+    Parent folders are made. Raises `OutputError` (disk full, read-only folder, a folder of that name).
+    """
+    target = Path(path)
+    data = content.encode() if isinstance(content, str) else content
+    temporary = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write: {error.strerror or error}", where=str(target), fix="choose another --out"
+        ) from None
+    finally:
+        if temporary is not None and os.path.exists(temporary):
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+    return target
+
+
+def to_plain(value: Any) -> Any:
+    """Turn NumPy scalars and arrays, tuples, sets and paths into plain JSON values; NaN and infinity become None."""
+    if isinstance(value, dict):
+        return {str(k): to_plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [to_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return to_plain(value.tolist())
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def dump_json(value: Any, *, indent: int | None = 1) -> str:
+    """JSON text with plain numbers, one trailing newline, keys in the order given."""
+    return json.dumps(to_plain(value), indent=indent, allow_nan=False) + "\n"
+
+
+def write_json(path: str | os.PathLike[str], value: Any) -> Path:
+    """`dump_json`, written atomically."""
+    return write_atomic(path, dump_json(value))
+
+
+def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dict[str, Any]:
+    """Read a JSON object; with `schema` also demand that its "schema" field is that string.
+
+    Raises `FileFormatError` for a missing file, text that is not JSON, or another schema.
+    """
+    where = str(path)
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileFormatError("no such file", where=where, fix="check the path") from None
+    except OSError as error:
+        raise FileFormatError(f"cannot read: {error.strerror}", where=where) from None
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"not JSON ({error})", where=where, fix="pass a file that greybox wrote") from None
+    if not isinstance(value, dict):
+        raise FileFormatError("not a JSON object", where=where, got=type(value).__name__)
+    if schema is not None and value.get("schema") != schema:
+        raise FileFormatError(
+            "wrong schema", where=where, expected=schema, got=repr(value.get("schema")), fix="pass a file of that kind"
+        )
+    return value
+
+
+def checksum(value: Any) -> str:
+    """SHA-256 of the canonical JSON of a value."""
+    text = json.dumps(to_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as stream:
+        for block in iter(lambda: stream.read(1 << 20), b""):
+            digest.update(block)
+    return digest.hexdigest()
