@@ -1,1 +1,16 @@
-"""Flights as data: channels, segments, data sets, conditioning and the data-fault gate."""
+"""Flight data: channels, segments, data sets, log readers, conditioning and the data-fault checks."""
+
+from greybox.data.channel import Channel, ColumnSpec, channel, group_names
+from greybox.data.dataset import Dataset, Flight, dataset_from_arrays
+from greybox.data.segment import Segment
+
+__all__ = [
+    "Channel",
+    "ColumnSpec",
+    "Dataset",
+    "Flight",
+    "Segment",
+    "channel",
+    "dataset_from_arrays",
+    "group_names",
+]

@@ -1,0 +1,56 @@
+"""Airframe: what the data package needs to know of a vehicle. The vehicle of greybox.model satisfies it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from greybox.data.channel import ColumnSpec
+
+
+class RotorPlace(Protocol):
+    """Place and sense of one rotor."""
+
+    @property
+    def position(self) -> Sequence[float]:
+        """Hub position [m] from the body origin, body axes (FLU)."""
+
+    @property
+    def spin(self) -> int:
+        """+1 counter-clockwise seen from above, -1 clockwise."""
+
+
+class CommandRange(Protocol):
+    """Range of the commands."""
+
+    @property
+    def u_min(self) -> float:
+        """Lowest command [-]."""
+
+    @property
+    def u_max(self) -> float:
+        """Highest command [-]."""
+
+
+class Airframe(Protocol):
+    """A vehicle as the data package sees it."""
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+
+    @property
+    def gravity(self) -> float:
+        """Gravity [m/s^2]."""
+
+    @property
+    def rotors(self) -> Sequence[RotorPlace]:
+        """Rotors in the order of the commands u1..un."""
+
+    @property
+    def actuator(self) -> CommandRange:
+        """Command range."""
+
+    @property
+    def columns(self) -> Mapping[str, ColumnSpec]:
+        """Canonical channel -> column of the log (channels that are not named keep their canonical name)."""

@@ -1,0 +1,191 @@
+"""Flight and Dataset: named flights made of segments, splits that do not leak, and a hash that pins the content."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy.typing as npt
+
+from greybox.data.segment import Segment
+from greybox.errors import DataError, UnknownNameError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flight:
+    """One flight (one log): its segments in order of time and where they came from.
+
+    `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
+    conditioning did, `noncausal` are channels whose values were smoothed with later samples. Raises `DataError` where
+    there is no segment or the sample times differ.
+    """
+
+    name: str
+    segments: tuple[Segment, ...]
+    source: str = ""
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+    noncausal: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise DataError("no usable samples", where=f"flight {self.name}")
+        if len({s.dt for s in self.segments}) > 1:
+            raise DataError(
+                f"segments with different sample times {sorted({s.dt for s in self.segments})}",
+                where=f"flight {self.name}",
+                fix="resample to one rate",
+            )
+        for before, after in zip(self.segments[:-1], self.segments[1:], strict=True):
+            if after.t[0] <= before.t[-1]:
+                raise DataError("segments overlap in time", where=f"flight {self.name}")
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.segments[0].dt
+
+    @property
+    def n(self) -> int:
+        """Number of samples in all segments."""
+        return sum(s.n for s in self.segments)
+
+    @property
+    def duration(self) -> float:
+        """Time covered by samples [s]."""
+        return sum(s.duration for s in self.segments)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that every segment has."""
+        return tuple(n for n in self.segments[0].names if all(n in s.channels for s in self.segments))
+
+    def between(self, t0: float, t1: float) -> Flight | None:
+        """The samples with t0 <= t < t1; None where fewer than two in a row are left."""
+        kept = []
+        for segment in self.segments:
+            inside = int(((segment.t >= t0) & (segment.t < t1)).sum())
+            if inside >= 2:
+                kept.append(segment.between(t0, t1))
+        return replace(self, segments=tuple(kept)) if kept else None
+
+    def __repr__(self) -> str:
+        return f"Flight({self.name}, {len(self.segments)} segment(s), {self.n} samples of {self.dt:g} s)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dataset:
+    """Several flights. Immutable; flight names are unique (`DataError` otherwise)."""
+
+    flights: tuple[Flight, ...]
+
+    def __post_init__(self) -> None:
+        names = [f.name for f in self.flights]
+        double = sorted({n for n in names if names.count(n) > 1})
+        if double:
+            raise DataError(
+                f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own file name"
+            )
+
+    def __len__(self) -> int:
+        return len(self.flights)
+
+    def __iter__(self) -> Iterator[Flight]:
+        return iter(self.flights)
+
+    def __getitem__(self, name: str) -> Flight:
+        for flight in self.flights:
+            if flight.name == name:
+                return flight
+        raise UnknownNameError("flight", name, self.names)
+
+    def __add__(self, other: Dataset) -> Dataset:
+        return Dataset(flights=self.flights + other.flights)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Flight names."""
+        return tuple(f.name for f in self.flights)
+
+    @property
+    def segments(self) -> tuple[Segment, ...]:
+        """All segments of all flights, in order."""
+        return tuple(s for f in self.flights for s in f.segments)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that every flight has, in the order of the first flight."""
+        if not self.flights:
+            return ()
+        return tuple(n for n in self.flights[0].channels if all(n in f.channels for f in self.flights))
+
+    @property
+    def any_channels(self) -> tuple[str, ...]:
+        """Channels that at least one flight has."""
+        return tuple(dict.fromkeys(n for f in self.flights for n in f.channels))
+
+    @property
+    def noncausal(self) -> frozenset[str]:
+        """Channels that at least one flight marks as smoothed with later samples."""
+        return frozenset().union(*(f.noncausal for f in self.flights))
+
+    @property
+    def notes(self) -> Mapping[str, tuple[str, ...]]:
+        """Per flight what conditioning did."""
+        return {f.name: f.notes for f in self.flights}
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of names, times and channel values (not of file paths, notes or extra columns)."""
+        digest = hashlib.sha256()
+        for flight in self.flights:
+            digest.update(f"flight {flight.name} {','.join(sorted(flight.noncausal))}\n".encode())
+            for segment in flight.segments:
+                digest.update(f"segment {segment.n}\n".encode() + _bytes(segment.t))
+                for name in sorted(segment.channels):
+                    digest.update(f"channel {name}\n".encode() + _bytes(segment.channels[name]))
+        return digest.hexdigest()
+
+    def select(self, names: Iterable[str]) -> Dataset:
+        """The named flights, in the order given. Raises `UnknownNameError`."""
+        return Dataset(flights=tuple(self[n] for n in names))
+
+    def split_by_flight(self, test: Iterable[str]) -> tuple[Dataset, Dataset]:
+        """(train, test): the flights named in `test` go to the second. Raises `UnknownNameError`."""
+        held_out = self.select(test)
+        rest = tuple(f for f in self.flights if f.name not in held_out.names)
+        return Dataset(flights=rest), held_out
+
+    def split_by_time(self, fraction: float = 0.5, *, at: float | None = None) -> tuple[Dataset, Dataset]:
+        """(first, second): every flight is cut once, at `fraction` of its time span or at the log time `at` [s].
+
+        A flight with no samples on one side is missing there. Raises `DataError` for a fraction outside (0, 1).
+        """
+        if at is None and not 0.0 < fraction < 1.0:
+            raise DataError(f"fraction {fraction:g}", expected="between 0 and 1")
+        parts: tuple[list[Flight], list[Flight]] = ([], [])
+        for flight in self.flights:
+            start, stop = float(flight.segments[0].t[0]), float(flight.segments[-1].t[-1])
+            cut = start + fraction * (stop - start) if at is None else at
+            for side, part in zip(
+                parts, (flight.between(-float("inf"), cut), flight.between(cut, float("inf"))), strict=True
+            ):
+                if part is not None:
+                    side.append(part)
+        return Dataset(flights=tuple(parts[0])), Dataset(flights=tuple(parts[1]))
+
+    def __repr__(self) -> str:
+        return f"Dataset({len(self.flights)} flights, {sum(f.n for f in self.flights)} samples)"
+
+
+def _bytes(values: npt.NDArray) -> bytes:
+    return values.astype("<f8").tobytes()
+
+
+def dataset_from_arrays(
+    t: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike], *, name: str = "flight", notes: Sequence[str] = ()
+) -> Dataset:
+    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN = missing."""
+    segment = Segment(t=t, channels=channels, flight=name)  # type: ignore[arg-type]
+    return Dataset(flights=(Flight(name=name, segments=(segment,), notes=tuple(notes)),))

@@ -1,0 +1,141 @@
+"""Segment: an unbroken stretch of samples on one uniform clock. Missing cells are NaN, never a filled-in number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import DataError, UnknownNameError
+
+FloatArray = npt.NDArray[np.float64]
+
+CLOCK_TOLERANCE = 1e-3
+"""Largest deviation of a sample from the uniform grid, as a share of the sample time."""
+
+
+def _frozen_floats(values: Any, n: int, what: str, flight: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.shape != (n,):
+        raise DataError(f"{what} has shape {array.shape}", where=f"flight {flight}", expected=f"({n},), one per sample")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment:
+    """Samples at t_0 + k dt. All arrays are (N,), read-only copies; NaN = missing.
+
+    `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's own may use any
+    names); `extra` are the log's unknown columns, as they came (float64, or text). Raises `DataError` where shapes do
+    not fit, the clock is not uniform, a value is infinite, or there are fewer than two samples.
+    """
+
+    t: FloatArray
+    channels: Mapping[str, FloatArray]
+    flight: str = "flight"
+    extra: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n = int(np.size(self.t))
+        t = _frozen_floats(self.t, n, "t", self.flight)
+        if n < 2:
+            raise DataError(f"a segment of {n} sample(s)", where=f"flight {self.flight}", expected="at least 2")
+        dt = (t[-1] - t[0]) / (n - 1)
+        if not np.isfinite(t).all() or dt <= 0:
+            raise DataError("t is not increasing", where=f"flight {self.flight}", fix="read the log with read_log")
+        shift = float(np.abs(t - (t[0] + dt * np.arange(n))).max())
+        if shift > CLOCK_TOLERANCE * dt:
+            raise DataError(
+                f"t is not uniform: off by {shift:.3g} s at a sample time of {dt:.3g} s",
+                where=f"flight {self.flight}",
+                fix="resample it (read_log does)",
+            )
+        channels = {k: _frozen_floats(v, n, f"channel {k}", self.flight) for k, v in self.channels.items()}
+        for name, values in channels.items():
+            if np.isinf(values).any():
+                raise DataError(f"channel {name} has an infinite value", where=f"flight {self.flight}")
+        extra = {}
+        for name, values in self.extra.items():
+            array = np.array(values)
+            if array.shape != (n,):
+                raise DataError(f"extra column {name} has shape {array.shape}", where=f"flight {self.flight}")
+            array.setflags(write=False)
+            extra[name] = array
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "extra", MappingProxyType(extra))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"t": self.t, "channels": dict(self.channels), "flight": self.flight, "extra": dict(self.extra)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
+
+    @property
+    def n(self) -> int:
+        """Number of samples N."""
+        return int(self.t.size)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s], rounded to 12 digits so that segments of one clock agree exactly."""
+        return float(f"{(self.t[-1] - self.t[0]) / (self.n - 1):.12g}") if self.n > 1 else float("nan")
+
+    @property
+    def duration(self) -> float:
+        """N dt [s]: the time that the samples stand for."""
+        return self.n * self.dt
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return tuple(self.channels)
+
+    def column(self, name: str) -> FloatArray:
+        """One channel (or numeric extra column), (N,), read-only. Raises `UnknownNameError`."""
+        if name in self.channels:
+            return self.channels[name]
+        if name in self.extra and self.extra[name].dtype.kind == "f":
+            return self.extra[name]
+        raise UnknownNameError("channel", name, [*self.channels, *self.extra], where=f"flight {self.flight}")
+
+    def matrix(self, names: Sequence[str], *, missing_ok: bool = False) -> FloatArray:
+        """The named columns as (N, len(names)); a fresh array.
+
+        An absent name raises `UnknownNameError`, or is a column of NaN with `missing_ok`.
+        """
+        out = np.full((self.n, len(names)), np.nan)
+        for j, name in enumerate(names):
+            if not (missing_ok and name not in self.channels and name not in self.extra):
+                out[:, j] = self.column(name)
+        return out
+
+    def rows(self, start: int, stop: int) -> Segment:
+        """Samples start <= k < stop. Raises `DataError` where fewer than two are left."""
+        part = slice(max(start, 0), max(stop, 0))
+        return Segment(
+            t=self.t[part],
+            channels={k: v[part] for k, v in self.channels.items()},
+            flight=self.flight,
+            extra={k: v[part] for k, v in self.extra.items()},
+        )
+
+    def between(self, t0: float, t1: float) -> Segment:
+        """Samples with t0 <= t < t1 [s]. Raises `DataError` where fewer than two are left."""
+        start, stop = np.searchsorted(self.t, [t0, t1])
+        return self.rows(int(start), int(stop))
+
+    def replace(self, channels: Mapping[str, npt.ArrayLike]) -> Segment:
+        """A copy with these channels set or added, (N,) each."""
+        merged = {**self.channels, **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()}}
+        return Segment(t=self.t, channels=merged, flight=self.flight, extra=self.extra)
+
+    def __repr__(self) -> str:
+        return f"Segment({self.flight}, {self.n} samples of {self.dt:g} s, {', '.join(self.names)})"

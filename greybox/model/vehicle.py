@@ -1,0 +1,395 @@
+"""Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema "greybox.vehicle/1").
+
+A number is exact (sigma 0) or a prior (value and one standard deviation). SI units; body axes FLU from the body origin.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from greybox.data.channel import TIME, ColumnSpec, canonical_names, is_canonical, rotor_index
+from greybox.errors import UnknownNameError, VehicleError
+from greybox.frames import GRAVITY
+from greybox.model.toml_table import TomlTable, describe
+
+SCHEMA = "greybox.vehicle/1"
+NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage", "rotor_speed")
+"""Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s."""
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+TRIANGLE_SLACK = 0.05
+"""Relative slack of the triangle inequality of inertia (values come from rounded tables)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A number with one standard deviation; `sigma` 0 means exact."""
+
+    value: float
+    sigma: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether the number is held fixed by default."""
+        return self.sigma == 0.0
+
+
+Quantity3 = tuple[Quantity, Quantity, Quantity]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotor:
+    """Hub position [m] from the body origin, and spin (+1 counter-clockwise seen from above, -1 clockwise)."""
+
+    position: Vector3
+    spin: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actuator:
+    """Commands and the thrust and torque maps, c0 + c1 nu + c2 nu^2 per rotor ([N] and [N m]).
+
+    `hold` says how the command runs between samples; `rotor_radius` [m] and `speed_max` [rad/s at nu = 1] are optional.
+    """
+
+    u_min: float = 0.0
+    u_max: float = 1.0
+    hold: Literal["previous", "linear"] = "previous"
+    rotor_radius: float | None = None
+    speed_max: float | None = None
+    thrust: Quantity3
+    torque: Quantity3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx, Jyy, Jzz.
+
+    `effects` maps effect names to their parameters (the model's catalogue knows which names exist); `noise` has the
+    known sensor sigmas (keys in `NOISES`); `columns` says where a log keeps the canonical channels.
+    """
+
+    name: str
+    gravity: float
+    mass: Quantity
+    inertia: Matrix3
+    inertia_sigma: Vector3 = (0.0, 0.0, 0.0)
+    center_of_mass: Quantity3
+    imu_position: Vector3 = (0.0, 0.0, 0.0)
+    rotors: tuple[Rotor, ...]
+    actuator: Actuator
+    effects: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    nominal_voltage: float | None = None
+    noise: Mapping[str, float] = field(default_factory=dict)
+    columns: Mapping[str, ColumnSpec] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key in ("effects", "noise", "columns"):
+            object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.to_dict()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(Vehicle.from_dict(state).__dict__)
+
+    def __hash__(self) -> int:
+        return hash(repr(self.to_dict()))
+
+    @property
+    def n_rotors(self) -> int:
+        """Number of rotors."""
+        return len(self.rotors)
+
+    @property
+    def omega_scale(self) -> float:
+        """Rotor speed at nu = 1 [rad/s]: speed_max, or 1 where it is unknown (coefficients are then per unit nu)."""
+        return self.actuator.speed_max or 1.0
+
+    @property
+    def arm_length(self) -> float:
+        """Longest horizontal distance of a hub from the body origin [m] (a scale, never a parameter)."""
+        return max(float(np.hypot(r.position[0], r.position[1])) for r in self.rotors) or 0.1
+
+    @property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """The core parameters by name: mass, inertia.xx, thrust.c2, torque.c2, center_of_mass.x, ..."""
+        out = {"mass": self.mass}
+        for i, axis in enumerate("xyz"):
+            out[f"inertia.{axis}{axis}"] = Quantity(value=self.inertia[i][i], sigma=self.inertia_sigma[i])
+        for kind, curve in (("thrust", self.actuator.thrust), ("torque", self.actuator.torque)):
+            out.update({f"{kind}.c{i}": quantity for i, quantity in enumerate(curve)})
+        out.update({f"center_of_mass.{axis}": q for axis, q in zip("xyz", self.center_of_mass, strict=True)})
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """The vehicle as plain values in the shape of its TOML file; `from_dict` reads it back exactly."""
+        actuator: dict[str, Any] = {
+            "u_min": self.actuator.u_min,
+            "u_max": self.actuator.u_max,
+            "hold": self.actuator.hold,
+        }
+        for key in ("rotor_radius", "speed_max"):
+            if getattr(self.actuator, key) is not None:
+                actuator[key] = getattr(self.actuator, key)
+        for key in ("thrust", "torque"):
+            actuator[key] = [q.value for q in getattr(self.actuator, key)]
+            actuator[f"{key}_sigma"] = [q.sigma for q in getattr(self.actuator, key)]
+        out: dict[str, Any] = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "gravity": self.gravity,
+            "mass": _plain(self.mass),
+            "inertia": [list(row) for row in self.inertia],
+            "inertia_sigma": list(self.inertia_sigma),
+            "center_of_mass": [_plain(q) for q in self.center_of_mass],
+            "imu_position": list(self.imu_position),
+            "rotor": [{"position": list(r.position), "spin": r.spin} for r in self.rotors],
+            "actuator": actuator,
+            "effects": {k: {n: _plain(q) for n, q in v.items()} for k, v in self.effects.items()},
+            "noise": dict(self.noise),
+            "columns": {
+                k: {"name": c.name, "scale": c.scale, "offset": c.offset, "causal": c.causal}
+                for k, c in self.columns.items()
+            },
+        }
+        if self.nominal_voltage is not None:
+            out["battery"] = {"nominal_voltage": self.nominal_voltage}
+        return out
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any], *, where: str = "vehicle") -> Vehicle:
+        """Build and check a vehicle from the values of its file. `where` names the file in errors.
+
+        Raises `VehicleError` (or `UnknownNameError` for an unknown key, with the nearest names).
+        """
+        return _vehicle(TomlTable(value, file=where))
+
+
+def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
+    """Read a vehicle file (TOML, schema "greybox.vehicle/1").
+
+    Raises `VehicleError` naming file and key: no such file, TOML syntax (with line), missing key, wrong type,
+    inertia that no body can have, zero mass, no rotor, u_min >= u_max, negative sigma; `UnknownNameError` for a key
+    that is not known, with the nearest names.
+    """
+    where = str(path)
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise VehicleError("no such vehicle file", where=where, fix="check the path") from None
+    except IsADirectoryError:
+        raise VehicleError("a folder, not a vehicle file", where=where, fix="pass the .toml file in it") from None
+    except UnicodeDecodeError:
+        raise VehicleError("not a text file", where=where, fix="pass a TOML file saved as UTF-8") from None
+    except OSError as error:
+        raise VehicleError(f"cannot read: {error.strerror or error}", where=where, fix="check the path") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise VehicleError(f"not valid TOML: {error}", where=where, fix="correct the line that is named") from None
+    return Vehicle.from_dict(data, where=where)
+
+
+def _plain(quantity: Quantity) -> float | dict[str, float]:
+    return quantity.value if quantity.exact else {"value": quantity.value, "sigma": quantity.sigma}
+
+
+def _quantity(table: TomlTable, key: str, value: Any) -> Quantity:
+    if not isinstance(value, Mapping):
+        return Quantity(value=table.checked_number(key, value))
+    inner = TomlTable(value, file=table.file, path=f"{table.path}.{key}" if table.path else key)
+    inner.known(("value", "sigma"))
+    return Quantity(value=inner.number("value"), sigma=inner.number("sigma", 0.0, minimum=0.0))
+
+
+def _quantities(table: TomlTable, key: str, default: Any = None) -> Quantity3:
+    """Three numbers with sigmas, from `key` (numbers or value-sigma tables) and the optional `key_sigma`."""
+    values = table.array(key, 3) if default is None else table.array(key, 3, default)
+    read = [_quantity(table, f"{key}[{i}]", v) for i, v in enumerate(values)]
+    sigma_key = f"{key}_sigma"
+    if sigma_key in table:
+        if any(not q.exact for q in read):
+            raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
+        sigmas = _sigmas(table, sigma_key)
+        read = [Quantity(value=q.value, sigma=s) for q, s in zip(read, sigmas, strict=True)]
+    return read[0], read[1], read[2]
+
+
+def _sigmas(table: TomlTable, key: str) -> Vector3:
+    values = table.numbers(key, 3, [0.0, 0.0, 0.0])
+    if min(values) < 0:
+        raise table.error(key, "a sigma must not be negative", got=f"{min(values):g}", fix="use 0 for an exact value")
+    return values[0], values[1], values[2]
+
+
+def _vector(table: TomlTable, key: str, default: Any = None) -> Vector3:
+    x, y, z = table.numbers(key, 3) if default is None else table.numbers(key, 3, default)
+    return x, y, z
+
+
+def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
+    rows = []
+    for i, row in enumerate(top.array("inertia", 3)):
+        if not isinstance(row, list) or len(row) != 3:
+            raise top.error(f"inertia[{i}]", "not a row of 3", expected="a 3 x 3 matrix [kg m^2]", got=describe(row))
+        x, y, z = (top.checked_number(f"inertia[{i}][{j}]", v) for j, v in enumerate(row))
+        rows.append((x, y, z))
+    matrix = np.array(rows)
+    sigma = _sigmas(top, "inertia_sigma")
+    size = float(np.abs(matrix).max())
+    if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * size):
+        i, j = divmod(int(np.argmax(np.abs(matrix - matrix.T))), 3)
+        raise top.error(
+            "inertia",
+            f"not symmetric: [{i}][{j}] is {matrix[i, j]:g} but [{j}][{i}] is {matrix[j, i]:g}",
+            fix="write the same product of inertia on both sides of the diagonal",
+        )
+    principal = np.linalg.eigvalsh(matrix)
+    if not principal[0] > 1e-9 * size:
+        raise top.error(
+            "inertia",
+            f"singular or not positive definite (principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2)",
+            fix="give positive moments about the centre of mass",
+        )
+    if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE_SLACK) + 3 * float(np.linalg.norm(sigma)):
+        raise top.error(
+            "inertia",
+            f"no body has the principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2",
+            expected="the largest at most the sum of the other two",
+            fix="check the units and exponents of the three moments",
+        )
+    return (rows[0], rows[1], rows[2]), sigma
+
+
+def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
+    rotors = []
+    for i, value in enumerate(top.array("rotor", None)):
+        table = TomlTable(value, file=top.file, path=f"rotor[{i}]")
+        table.known(("position", "spin"))
+        spin = table.number("spin")
+        if spin not in (1.0, -1.0):
+            raise table.error("spin", "must be 1 or -1", got=f"{spin:g}", fix="1 is counter-clockwise seen from above")
+        rotors.append(Rotor(position=_vector(table, "position"), spin=int(spin)))
+    if not rotors:
+        raise top.error("rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor")
+    places = [r.position for r in rotors]
+    if len(set(places)) < len(places):
+        raise top.error("rotor", "two rotors at the same position", fix="give each rotor its own hub position")
+    return tuple(rotors)
+
+
+def _actuator(table: TomlTable) -> Actuator:
+    table.known(
+        ("u_min", "u_max", "hold", "rotor_radius", "speed_max", "thrust", "thrust_sigma", "torque", "torque_sigma")
+    )
+    u_min, u_max = table.number("u_min", 0.0), table.number("u_max", 1.0)
+    if not u_min < u_max:
+        raise table.error("u_min", f"{u_min:g} is not below u_max {u_max:g}", fix="give the command range in order")
+    thrust = _quantities(table, "thrust")
+    full = sum(q.value * u_max**i for i, q in enumerate(thrust))
+    if not full > 0:
+        raise table.error(
+            "thrust",
+            f"the thrust map gives {full:g} N at u_max",
+            expected="a positive thrust",
+            fix="check signs and order c0, c1, c2",
+        )
+    return Actuator(
+        u_min=u_min,
+        u_max=u_max,
+        hold="linear" if table.choice("hold", ("previous", "linear"), "previous") == "linear" else "previous",
+        rotor_radius=table.number("rotor_radius", positive=True) if "rotor_radius" in table else None,
+        speed_max=table.number("speed_max", positive=True) if "speed_max" in table else None,
+        thrust=thrust,
+        torque=_quantities(table, "torque"),
+    )
+
+
+def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
+    known = (TIME, *canonical_names(rotors))
+    out: dict[str, ColumnSpec] = {}
+    for key, value in table.value.items():
+        if key not in known:
+            index = rotor_index(key) if is_canonical(key) else None
+            if index is not None:
+                raise table.error(key, f"the vehicle has {rotors} rotors", fix="add the [[rotor]] or drop the column")
+            raise UnknownNameError("channel", key, known, where=table.place(""))
+        if isinstance(value, str):
+            value = {"name": value}
+        entry = TomlTable(value, file=table.file, path=f"{table.path}.{key}")
+        entry.known(("name", "scale", "offset", "causal"))
+        scale = entry.number("scale", 1.0)
+        if scale == 0.0:
+            raise entry.error("scale", "must not be zero", fix="give the factor from the log's unit to SI")
+        out[key] = ColumnSpec(
+            name=entry.text("name", key),
+            scale=scale,
+            offset=entry.number("offset", 0.0),
+            causal=entry.boolean("causal", True),
+        )
+    names = [c.name for c in out.values()]
+    for key, spec in out.items():
+        if names.count(spec.name) > 1:
+            raise table.error(key, f"column '{spec.name}' is given to two channels", fix="name another column")
+    return out
+
+
+def _vehicle(top: TomlTable) -> Vehicle:
+    schema = top.get("schema")
+    if schema != SCHEMA:
+        raise top.error(
+            "schema", "wrong schema", expected=f'"{SCHEMA}"', got=repr(schema), fix="update the vehicle file"
+        )
+    top.known(
+        (
+            *(
+                "schema",
+                "name",
+                "gravity",
+                "mass",
+                "inertia",
+                "inertia_sigma",
+                "center_of_mass",
+                "center_of_mass_sigma",
+            ),
+            *("imu_position", "rotor", "actuator", "effects", "battery", "noise", "columns"),
+        )
+    )
+    mass = _quantity(top, "mass", top.get("mass"))
+    if not mass.value > 0:
+        raise top.error("mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg")
+    inertia, inertia_sigma = _inertia(top)
+    rotors = _rotors(top)
+    effects_table = top.table("effects", {})
+    effects = {}
+    for name in effects_table.value:
+        one = effects_table.table(name)
+        effects[name] = MappingProxyType({k: _quantity(one, k, v) for k, v in one.value.items()})
+    noise = top.table("noise", {})
+    noise.known(NOISES)
+    battery = top.table("battery", {})
+    battery.known(("nominal_voltage",))
+    return Vehicle(
+        name=top.text("name", "vehicle"),
+        gravity=top.number("gravity", GRAVITY, positive=True),
+        mass=mass,
+        inertia=inertia,
+        inertia_sigma=inertia_sigma,
+        center_of_mass=_quantities(top, "center_of_mass", [0.0, 0.0, 0.0]),
+        imu_position=_vector(top, "imu_position", [0.0, 0.0, 0.0]),
+        rotors=rotors,
+        actuator=_actuator(top.table("actuator")),
+        effects=effects,
+        nominal_voltage=battery.number("nominal_voltage", positive=True) if "nominal_voltage" in battery else None,
+        noise={k: noise.number(k, positive=True) for k in noise.value},
+        columns=_columns(top.table("columns", {}), len(rotors)),
+    )
