@@ -96,6 +96,8 @@ class Physics:
         """Add thrust, drag torque and hub effects of all rotors to force and moment."""
         fx, fy, fz = force
         mx, my, mz = moment
+        p, q, r = body.rates
+        va, vb, vc = body.airspeed
         t0, t1, t2 = self.airframe.thrust
         q0, q1, q2 = self.airframe.torque
         for i, arm in enumerate(self.arms):
@@ -104,7 +106,7 @@ class Physics:
             thrust = t0 + nu * (t1 + nu * t2)
             torque = q0 + nu * (q1 + nu * q2)
             if self._any_hub:
-                airspeed = add(body.airspeed, cross(body.rates, arm))
+                airspeed = (va + q * rz - r * ry, vb + r * rx - p * rz, vc + p * ry - q * rx)
                 hub = Hub(i, self.spins[i], arm, airspeed, nu, body.speed[i], thrust, torque, body)
                 for hook in self._thrust_factors:
                     thrust = thrust * hook(hub)
