@@ -1,0 +1,225 @@
+"""Multi-step errors: open-loop predictions h = 1..H from every origin, in the IDSIA metric.
+
+From origin k the model predicts samples k+1..k+H with the recorded commands; the error is the norm per group
+(`groups`), pooled over all origins that have all `required` steps; origins never cross a gap. SimErr of a group is the
+sum over h = 1..required of its mean absolute error (R. Busetto et al., nano-drone benchmark, 2026).
+
+Errors are summed while they are computed: one stretch of one flight at a time is in memory.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import scipy.stats
+
+from greybox.errors import DataError
+from greybox.symbolic import FloatArray
+from greybox.validation.coverage import LEVELS, mahalanobis_squared
+from greybox.validation.groups import GROUPS, error_vectors, group
+from greybox.validation.horizon_table import GroupErrors, HorizonTable
+from greybox.validation.samples import complete_rows
+
+IntArray = npt.NDArray[np.int64]
+REQUIRED = 50
+"""Steps that an origin must have ahead of it, and over which SimErr sums."""
+
+
+def find_origins(
+    t: npt.ArrayLike, *, sample_time: float, required: int = REQUIRED, start: float | None = None, step: int = 1
+) -> list[IntArray]:
+    """Origins of a flight, one array per stretch without gap: indices k with k..k+required uninterrupted.
+
+    `t` (N,) [s] increasing; a gap is a time difference above 1.5 `sample_time`. `start` [s]: origins only at
+    t >= t[0] + start (after the seconds that per-flight parameters were adapted on). `step`: every step-th origin.
+    Raises `DataError` for a clock that does not increase.
+    """
+    clock = np.asarray(t, dtype=np.float64)
+    if clock.ndim != 1 or not np.all(np.isfinite(clock)) or np.any(np.diff(clock) <= 0):
+        raise DataError("origins need an increasing clock without missing times", expected="t (N,) in seconds")
+    if required < 1 or step < 1 or not sample_time > 0:
+        raise DataError("origins: required >= 1, step >= 1 and sample_time > 0 are needed")
+    first = 0 if start is None else int(np.searchsorted(clock, clock[0] + start - 1e-9))
+    breaks = np.flatnonzero(np.diff(clock) > 1.5 * sample_time) + 1
+    edges = [0, *breaks.tolist(), len(clock)]
+    found = [np.arange(max(a, first), b - required, step, dtype=np.int64) for a, b in itertools.pairwise(edges)]
+    return [f for f in found if len(f)]
+
+
+@dataclass(kw_only=True)
+class _Sums:
+    """Running sums of one group in one flight, (H,) each."""
+
+    count: FloatArray
+    absolute: FloatArray
+    square: FloatArray
+    diverged: FloatArray
+    covered: dict[float, FloatArray]
+    judged: FloatArray
+    origins: int = 0
+    left_out: int = 0
+
+    @classmethod
+    def zeros(cls, steps: int) -> _Sums:
+        return cls(
+            count=np.zeros(steps),
+            absolute=np.zeros(steps),
+            square=np.zeros(steps),
+            diverged=np.zeros(steps),
+            covered={level: np.zeros(steps) for level in LEVELS},
+            judged=np.zeros(steps),
+        )
+
+
+@dataclass(kw_only=True)
+class HorizonAccumulator:
+    """Sums up multi-step errors stretch by stretch; `table()` gives the result so far.
+
+    `steps` H is the longest horizon, `required` the steps that an origin must have (SimErr sums over these); horizons
+    beyond `required` are pooled over the origins that reach that far. `missing="origin"` drops an origin from a group
+    where any reference sample of k..k+required is missing; `"step"` drops only the missing samples (for references that
+    are sampled more slowly than the model).
+    """
+
+    label: str
+    sample_time: float
+    steps: int = REQUIRED
+    required: int = REQUIRED
+    missing: str = "origin"
+    _flights: dict[str, dict[str, _Sums]] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.required <= self.steps or not self.sample_time > 0:
+            raise DataError("horizon: 1 <= required <= steps and sample_time > 0 are needed")
+        if self.missing not in ("origin", "step"):
+            raise DataError(f"horizon: missing = '{self.missing}'", expected="'origin' or 'step'")
+
+    def add(
+        self,
+        flight: str,
+        predictions: Mapping[str, FloatArray],
+        references: Mapping[str, FloatArray],
+        origins: npt.ArrayLike,
+        *,
+        covariances: Mapping[str, FloatArray] | None = None,
+    ) -> None:
+        """Add one stretch without gap.
+
+        `references[group]` (N, dimension), NaN = missing; `origins` (n,) indices into it; `predictions[group]`
+        (n, H, dimension) with [:, h - 1] the prediction of sample origin + h; `covariances[group]` (n, H, 3, 3) of the
+        prediction error including the reference's own noise (rotation: body axes). Groups without reference are
+        omitted. A prediction that is not finite counts as diverged: its error is infinite. Raises `DataError` for
+        arrays that do not match and for origins without all their steps, `UnknownNameError` for an unknown group.
+        """
+        starts = np.asarray(origins, dtype=np.int64).ravel()
+        sums = self._flights.setdefault(flight, {})
+        for name in predictions:
+            group(name)
+        for name in (g for g in GROUPS if g in predictions and g in references):
+            reference, predicted = np.asarray(references[name]), np.asarray(predictions[name])
+            expected = (len(starts), self.steps, GROUPS[name].dimension)
+            if predicted.shape != expected or reference.ndim != 2 or reference.shape[1] != expected[2]:
+                raise DataError(
+                    f"{flight}, {name}: arrays do not match",
+                    expected=f"predictions {expected} and references (N, {expected[2]})",
+                    got=f"{predicted.shape} and {reference.shape}",
+                )
+            if len(starts) and not (starts.min() >= 0 and starts.max() + self.required < len(reference)):
+                raise DataError(
+                    f"{flight}: an origin lacks its {self.required} steps",
+                    expected=f"0 <= origin < {len(reference) - self.required}",
+                    got=f"{starts.min()} .. {starts.max()}",
+                )
+            present = complete_rows(reference)
+            if not present.any():
+                continue
+            own = sums.setdefault(name, _Sums.zeros(self.steps))
+            keep = self._usable(present, starts)
+            own.left_out += int(len(starts) - keep.sum())
+            own.origins += int(keep.sum())
+            if not keep.any():
+                continue
+            covariance = None if covariances is None or name not in covariances else covariances[name][keep]
+            self._sum(own, name, predicted[keep], reference, starts[keep], covariance)
+
+    def _usable(self, present: npt.NDArray[np.bool_], starts: IntArray) -> npt.NDArray[np.bool_]:
+        """Which origins count: the same ones for every predictor, so that rows of a table compare."""
+        if self.missing == "step":
+            return np.logical_or.accumulate(present)[starts]
+        total = np.concatenate([[0], np.cumsum(present)])
+        complete: npt.NDArray[np.bool_] = total[starts + self.required + 1] - total[starts] == self.required + 1
+        return complete
+
+    def _sum(
+        self,
+        own: _Sums,
+        name: str,
+        predicted: FloatArray,
+        reference: FloatArray,
+        starts: IntArray,
+        covariance: FloatArray | None,
+    ) -> None:
+        index = starts[:, None] + np.arange(1, self.steps + 1)
+        inside = index < len(reference)
+        target = np.where(inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan)
+        wanted = np.isfinite(target).all(axis=2)
+        errors = error_vectors(name, predicted, target)
+        norms = np.linalg.norm(errors, axis=2)
+        diverged = wanted & ~np.isfinite(norms)
+        norms = np.where(diverged, np.inf, np.where(wanted, norms, 0.0))
+        own.count += wanted.sum(axis=0)
+        own.diverged += diverged.sum(axis=0)
+        own.absolute += norms.sum(axis=0)
+        own.square += (norms * norms).sum(axis=0)
+        if covariance is not None:
+            judged = wanted & ~diverged
+            distance = np.full(norms.shape, np.inf)
+            distance[judged] = mahalanobis_squared(errors[judged], covariance[judged])
+            own.judged += wanted.sum(axis=0)
+            for level in LEVELS:
+                limit = scipy.stats.chi2.ppf(level, GROUPS[name].error_dimension)
+                own.covered[level] += (wanted & (distance <= limit)).sum(axis=0)
+
+    def table(self) -> HorizonTable:
+        """The table so far. Raises `DataError` where no origin was usable in any group."""
+        flights = {
+            name: {g: _finish([s]) for g, s in groups.items() if s.origins} for name, groups in self._flights.items()
+        }
+        if not any(flights.values()):
+            raise DataError(
+                f"{self.label}: no origin has {self.required} steps ahead of it with a reference",
+                fix="a longer flight, fewer adaptation seconds, or a finer look at what was logged",
+            )
+        pooled: dict[str, GroupErrors] = {}
+        for g in GROUPS:
+            parts: Sequence[_Sums] = [f[g] for f in self._flights.values() if g in f and f[g].origins]
+            if parts:
+                pooled[g] = _finish(parts)
+        return HorizonTable(
+            label=self.label, sample_time=self.sample_time, required=self.required, groups=pooled, flights=flights
+        )
+
+
+def _finish(parts: Sequence[_Sums]) -> GroupErrors:
+    count = np.asarray(sum(p.count for p in parts))
+    judged = np.asarray(sum(p.judged for p in parts))
+    safe = np.maximum(count, 1.0)
+    coverage = None
+    if judged.any():
+        coverage = {
+            level: np.where(judged > 0, sum(p.covered[level] for p in parts) / np.maximum(judged, 1.0), np.nan)
+            for level in LEVELS
+        }
+    return GroupErrors(
+        mae=np.where(count > 0, sum(p.absolute for p in parts) / safe, np.nan),
+        rmse=np.where(count > 0, np.sqrt(sum(p.square for p in parts) / safe), np.nan),
+        n=count.astype(np.int64),
+        diverged=np.asarray(sum(p.diverged for p in parts)).astype(np.int64),
+        origins=sum(p.origins for p in parts),
+        left_out=sum(p.left_out for p in parts),
+        coverage=coverage,
+    )

@@ -1,0 +1,139 @@
+"""The result of a multi-step evaluation: errors per group and horizon, pooled and per flight, as JSON and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import DataError
+from greybox.symbolic import FloatArray
+from greybox.validation.groups import GROUPS
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupErrors:
+    """Errors of one group at h = 1..H, arrays (H,): index h - 1.
+
+    `mae` and `rmse` [unit of the group] are of the vector norm, `n` the errors behind them, `diverged` how many of
+    these predictions were not finite. NaN stands where n = 0. `origins` were used and `left_out` lacked reference
+    samples. `coverage` maps a level to the fraction of errors inside the stated uncertainty, (H,).
+    """
+
+    mae: FloatArray
+    rmse: FloatArray
+    n: IntArray
+    diverged: IntArray
+    origins: int
+    left_out: int
+    coverage: Mapping[float, FloatArray] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HorizonTable:
+    """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them."""
+
+    label: str
+    sample_time: float
+    required: int
+    groups: Mapping[str, GroupErrors]
+    flights: Mapping[str, Mapping[str, GroupErrors]] = field(default_factory=dict)
+
+    @property
+    def steps(self) -> int:
+        """The longest horizon H."""
+        return len(next(iter(self.groups.values())).mae)
+
+    def simerr(self, flight: str | None = None) -> dict[str, float]:
+        """Sum over h = 1..required of the mean absolute error, per group [its unit]; of one flight if named."""
+        groups = self.groups if flight is None else self.flights[flight]
+        return {g: float(e.mae[: self.required].sum()) for g, e in groups.items()}
+
+    def curve(self) -> dict[str, list[float]]:
+        """Mean absolute error at h = 1..H per group [unit of the group], for plots."""
+        return {g: e.mae.tolist() for g, e in self.groups.items()}
+
+    def _rows(self, groups: Mapping[str, GroupErrors], horizons: Iterable[int]) -> list[dict[str, Any]]:
+        return [
+            {
+                "h": int(h),
+                "seconds": float(f"{h * self.sample_time:.9g}"),
+                "groups": {g: _cell(g, e, h - 1) for g, e in groups.items() if e.n[h - 1] > 0},
+            }
+            for h in horizons
+        ]
+
+    def to_dict(self, horizons: Sequence[int] | None = None) -> dict[str, Any]:
+        """Plain values: label, origins, horizons, simerr, per_flight {name: {horizons, simerr}}.
+
+        `horizons` are the steps to list (default 1, 10, 50 as far as they are there; the whole curve with
+        `range(1, table.steps + 1)`). Raises `DataError` for a horizon that was not computed.
+        """
+        wanted = self._check(horizons)
+        return {
+            "label": self.label,
+            "origins": {g: {"used": e.origins, "left_out": e.left_out} for g, e in self.groups.items()},
+            "horizons": self._rows(self.groups, wanted),
+            "simerr": self.simerr(),
+            "per_flight": {
+                name: {"horizons": self._rows(groups, wanted), "simerr": self.simerr(name)}
+                for name, groups in self.flights.items()
+            },
+        }
+
+    def _check(self, horizons: Sequence[int] | None) -> list[int]:
+        wanted = [h for h in (1, 10, 50) if h <= self.steps] if horizons is None else [int(h) for h in horizons]
+        bad = [h for h in wanted if not 1 <= h <= self.steps]
+        if bad:
+            raise DataError(f"horizon {bad[0]} was not computed", expected=f"1 .. {self.steps}", got=str(bad[0]))
+        return wanted
+
+    @property
+    def diverged(self) -> int:
+        """How many predictions were not finite, over all groups and horizons."""
+        return int(sum(e.diverged.sum() for e in self.groups.values()))
+
+    def format(self, horizons: Sequence[int] | None = None, *others: HorizonTable) -> str:
+        """A text table of the mean absolute error and SimErr; `others` (baselines) become rows below."""
+        return format_tables([self, *others], horizons)
+
+
+def _cell(name: str, errors: GroupErrors, i: int) -> dict[str, Any]:
+    cell: dict[str, Any] = {
+        "mae": float(errors.mae[i]),
+        "rmse": float(errors.rmse[i]),
+        "unit": GROUPS[name].unit,
+        "n": int(errors.n[i]),
+    }
+    if errors.diverged[i]:
+        cell["diverged"] = int(errors.diverged[i])
+    if errors.coverage is not None:
+        cell["coverage"] = {f"{100 * level:g}": float(c[i]) for level, c in errors.coverage.items()}
+    return cell
+
+
+def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None = None) -> str:
+    """Several predictors under each other: mean absolute error at each horizon and SimErr, a block per group.
+
+    Raises `DataError` for no table, or a horizon that was not computed.
+    """
+    if not tables:
+        raise DataError("no multi-step table to print")
+    wanted = tables[0]._check(horizons)
+    width = max(len(t.label) for t in tables)
+    lines = []
+    for g in tables[0].groups:
+        head = "".join(f"{f'h={h}':>10}" for h in wanted)
+        lines.append(f"{g} [{GROUPS[g].unit}], mean absolute error")
+        lines.append(f"  {'':<{width}}{head}{'SimErr':>10}")
+        for t in tables:
+            if g not in t.groups:
+                continue
+            cells = "".join(f"{t.groups[g].mae[h - 1]:>10.4f}" if h <= t.steps else f"{'-':>10}" for h in wanted)
+            lines.append(f"  {t.label:<{width}}{cells}{t.simerr()[g]:>10.3f}")
+    return "\n".join(lines)

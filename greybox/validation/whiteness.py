@@ -1,0 +1,188 @@
+"""Are the innovations white? Autocorrelation with bands and portmanteau tests.
+
+Innovations of the right model with the right noise are uncorrelated in time. Per channel: G. M. Ljung and G. E. P. Box,
+"On a measure of lack of fit in time series models", Biometrika 65, 1978; with gaps every lag enters with its own number
+of pairs, after D. S. Stoffer and C. M. C. Toloi, Statistics and Probability Letters 13, 1992. All channels together:
+J. R. M. Hosking, "The multivariate portmanteau statistic", J. American Statistical Association 75, 1980. Fitting makes
+innovations whiter than they should be, so that the chi-square loses as many degrees of freedom as dynamic parameters
+were fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.stats
+
+from greybox.errors import DataError
+from greybox.symbolic import FloatArray
+from greybox.validation.correlation import centred, check_lags, lagged, predictable_share
+from greybox.validation.samples import names_for, stretches
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portmanteau:
+    """A portmanteau test: statistic `q`, degrees of freedom `dof`, probability `p_value` of that much if white."""
+
+    q: float
+    dof: int
+    p_value: float
+    n: int
+
+    def to_dict(self) -> dict[str, float | int]:
+        """Plain values under the names of the fields."""
+        return {"q": self.q, "dof": self.dof, "p_value": self.p_value, "n": self.n}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelWhiteness:
+    """Whiteness of one innovation component.
+
+    `r` (max_lag,) is the autocorrelation at lags 1.., `band` (max_lag,) its half-width if white. `outside` is the share
+    of lags outside the band, `predictable` the share of variance that the component's own past explains, `mean` and
+    `std` those of the component (0 and 1 for normalised innovations of the right model).
+    """
+
+    name: str
+    n: int
+    missing: int
+    mean: float
+    std: float
+    r: FloatArray
+    band: FloatArray
+    outside: float
+    predictable: float
+    test: Portmanteau
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; the test's fields are on the same level."""
+        plain = {
+            "n": self.n,
+            "missing": self.missing,
+            "mean": self.mean,
+            "std": self.std,
+            "outside": self.outside,
+            "predictable": self.predictable,
+        }
+        return {**plain, **self.test.to_dict(), "r": self.r.tolist(), "band": self.band.tolist()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whiteness:
+    """Whiteness of all innovation components; `multivariate` is None where no sample has all components."""
+
+    channels: tuple[ChannelWhiteness, ...]
+    multivariate: Portmanteau | None
+    max_lag: int
+    fitted: int
+    level: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values: level, max_lag, fitted, channels {name: ...}, multivariate."""
+        return {
+            "level": self.level,
+            "max_lag": self.max_lag,
+            "fitted": self.fitted,
+            "channels": {c.name: c.to_dict() for c in self.channels},
+            "multivariate": None if self.multivariate is None else self.multivariate.to_dict(),
+        }
+
+    def format(self) -> str:
+        """A table for the terminal."""
+        width = max(len("channel"), *(len(c.name) for c in self.channels))
+        head = f"{'n':>7}  {'outside':>7}  {'predictable':>11}  {'Q':>10}  {'dof':>4}  {'p':>8}"
+        lines = [f"{'channel':<{width}}  {head}"]
+        for c in self.channels:
+            lines.append(
+                f"{c.name:<{width}}  {c.n:>7d}  {c.outside:>7.0%}  {c.predictable:>11.1%}  {c.test.q:>10.1f}"
+                f"  {c.test.dof:>4d}  {c.test.p_value:>8.2g}"
+            )
+        if self.multivariate is not None:
+            m = self.multivariate
+            lines.append(f"all channels together: Q = {m.q:.1f}, dof = {m.dof}, p = {m.p_value:.2g}, n = {m.n}")
+        return "\n".join(lines)
+
+
+def _degrees(total: int, fitted: int) -> int:
+    if total - fitted < 1:
+        raise DataError(
+            f"whiteness: {total} correlations leave nothing to test after {fitted} parameters", fix="use more lags"
+        )
+    return total - fitted
+
+
+def _multivariate(records: Sequence[FloatArray], max_lag: int, fitted: int) -> Portmanteau | None:
+    d = records[0].shape[1]
+    rows = [np.where(np.isfinite(r).all(axis=1, keepdims=True), r, np.nan) for r in records]
+    n = int(sum(np.isfinite(r[:, 0]).sum() for r in rows))
+    if n < 4 * max_lag * d:
+        return None
+    values, weights = centred(rows, each=False)
+    at_zero, _ = lagged(values, weights, values, weights, [0])
+    try:
+        root = np.linalg.cholesky(at_zero[0])
+    except np.linalg.LinAlgError:
+        raise DataError("whiteness: two innovation components are copies of each other", fix="leave one out") from None
+    white = [np.asarray(np.linalg.solve(root, v.T).T, dtype=np.float64) for v in values]
+    c, count = lagged(white, weights, white, weights, range(1, max_lag + 1))
+    # Pair counts per lag stand in for n - k; full records give Hosking's n^2 sum tr(..)/(n - k), with the n + 2 form.
+    q = float(np.sum(count * c * c)) * (n + 2.0) / n
+    dof = _degrees(d * d * max_lag, fitted)
+    return Portmanteau(q=q, dof=dof, p_value=float(scipy.stats.chi2.sf(q, dof)), n=n)
+
+
+def whiteness(
+    innovations: Sequence[npt.ArrayLike] | npt.ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    max_lag: int = 30,
+    fitted: int = 0,
+    level: float = 0.95,
+) -> Whiteness:
+    """Autocorrelation, bands and portmanteau tests of innovations.
+
+    `innovations`: one array (N_i, d) per flight or per stretch without gap, NaN = missing; best normalised by their
+    predicted covariance. `fitted` is the number of fitted parameters that shape the dynamics of one channel: it is
+    taken off the degrees of freedom of every channel's test, and `fitted` times d off the joint test. One mean over all
+    flights is removed, so that an offset that differs between flights counts as correlation, as it should. Raises
+    `DataError` for too few samples, constant channels, or when no degree of freedom is left.
+    """
+    records = stretches(innovations, what="innovations")
+    d = records[0].shape[1]
+    labels = names_for(names, d, what="e")
+    check_lags(records, max_lag, what="innovations")
+    if fitted < 0 or not 0.0 < level < 1.0:
+        raise DataError("whiteness: fitted >= 0 and 0 < level < 1 are needed", got=f"fitted={fitted}, level={level:g}")
+    dof = _degrees(max_lag, fitted)
+    z = float(scipy.stats.norm.ppf(0.5 + level / 2.0))
+    channels = []
+    for j, name in enumerate(labels):
+        column = [r[:, j : j + 1] for r in records]
+        values, weights = centred(column, each=False)
+        c, count = lagged(values, weights, values, weights, range(max_lag + 1))
+        n = int(count[0, 0, 0])
+        r, pairs = c[1:, 0, 0] / c[0, 0, 0], count[1:, 0, 0]
+        band = np.where(pairs > 0, z / np.sqrt(np.maximum(pairs, 1.0)), np.inf)
+        q = float(np.sum(pairs * r * r)) * (n + 2.0) / n
+        everything = np.concatenate(column)[:, 0]
+        channels.append(
+            ChannelWhiteness(
+                name=name,
+                n=n,
+                missing=len(everything) - n,
+                mean=float(np.nanmean(everything)),
+                std=float(np.nanstd(everything)),
+                r=r,
+                band=band,
+                outside=float(np.mean(np.abs(r) > band)),
+                # Weighting by the share of pairs keeps the sequence positive definite for full records.
+                predictable=predictable_share(r * pairs / n),
+                test=Portmanteau(q=q, dof=dof, p_value=float(scipy.stats.chi2.sf(q, dof)), n=n),
+            )
+        )
+    joint = _multivariate(records, max_lag, fitted * d) if d > 1 else None
+    return Whiteness(channels=tuple(channels), multivariate=joint, max_lag=max_lag, fitted=fitted, level=level)
