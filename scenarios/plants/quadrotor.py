@@ -56,7 +56,7 @@ class Quadrotor:
         sensors: SensorNoise | None = None,
         process: ProcessNoise | None = None,
         sample_time: float = 0.01,
-        substep: float = 0.0025,
+        substep: float = 0.005,
     ) -> None:
         names = [e.name for e in effects]
         if len(set(names)) != len(names):
