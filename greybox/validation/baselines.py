@@ -6,15 +6,18 @@ dead reckoning is told the specific force and the rate that the model has to pre
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
-from greybox.frames import GRAVITY, numeric
-from greybox.symbolic import FloatArray
+from greybox.frames import GRAVITY, numeric, quat_exp, quat_multiply, quat_normalize, rotation_matrix
+from greybox.symbolic import FloatArray, evaluate
 from greybox.validation.groups import error_vectors, group
 from greybox.validation.samples import columns, complete_rows
 
@@ -84,6 +87,20 @@ class ImuRecord:
         return cls(rate=parts[0], specific_force=parts[1], sample_time=sample_time, filled=filled)
 
 
+@functools.cache
+def _strapdown() -> Any:
+    """One step of inertial navigation: state (q, v, p), samples (w0, w1, f0, f1), (dt, g) -> state."""
+    x, samples, c = ca.SX.sym("x", 10), ca.SX.sym("samples", 12), ca.SX.sym("c", 2)
+    q, v, p = x[:4], x[4:7], x[7:]
+    w0, w1, f0, f1 = ca.vertsplit(samples, 3)
+    dt, down = c[0], ca.vertcat(0, 0, -c[1])
+    turn = dt * (w0 + w1) / 2 + dt * dt / 12 * ca.cross(w0, w1)
+    after = quat_normalize(quat_multiply(q, quat_exp(turn)))
+    a0, a1 = rotation_matrix(q) @ f0 + down, rotation_matrix(after) @ f1 + down
+    moved = p + dt * v + dt * dt / 6 * (2 * a0 + a1)
+    return ca.Function("strapdown", [x, samples, c], [ca.vertcat(after, v + dt * (a0 + a1) / 2, moved)])
+
+
 def dead_reckoning(
     imu: ImuRecord,
     origins: npt.ArrayLike,
@@ -94,6 +111,7 @@ def dead_reckoning(
     steps: int,
     bias: ImuBias | None = None,
     gravity: float = GRAVITY,
+    attitude_record: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
     """Predictions (n, steps, dimension) of rotation, velocity and position from start states at n origins.
 
@@ -102,7 +120,10 @@ def dead_reckoning(
     linear between samples: the rotation vector of a step is dt (w0 + w1)/2 + dt^2/12 w0 x w1 (P. G. Savage, "Strapdown
     inertial navigation integration algorithm design", J. Guidance 21(1), 1998, coning term), velocity and position
     integrate exactly. `specific_force` is that at the point whose position is predicted; lever arms are ignored.
-    Predictions past the end of the record are NaN. Raises `DataError` where shapes do not match.
+    With `attitude_record` (N, 4), the measured attitude of all samples, the specific force is turned into the world by
+    that instead of by the integrated gyro: the tightest floor of velocity and position, which a causal predictor cannot
+    have; the rotation is integrated as before. Predictions past the end of the record are NaN. Raises `DataError` where
+    shapes do not match.
     """
     starts = np.asarray(origins, dtype=np.int64).ravel()
     for what, value, width in (("attitude", attitude, 4), ("velocity", velocity, 3), ("position", position, 3)):
@@ -110,7 +131,7 @@ def dead_reckoning(
             raise DataError(f"dead reckoning: {what}", expected=f"({len(starts)}, {width})", got=str(np.shape(value)))
     offset = ImuBias.zero() if bias is None else bias
     rate, force = imu.rate - offset.gyro, imu.specific_force - offset.accelerometer
-    down, dt, last = np.array([0.0, 0.0, -gravity]), imu.sample_time, len(rate) - 1
+    last, dt = len(rate) - 1, imu.sample_time
     out = {"rotation": np.full((len(starts), steps, 4), np.nan)}
     if velocity is not None:
         out["velocity"] = np.full((len(starts), steps, 3), np.nan)
@@ -118,23 +139,36 @@ def dead_reckoning(
             out["position"] = np.full((len(starts), steps, 3), np.nan)
     if not len(starts):
         return out
-    q = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    v = np.zeros((len(starts), 3)) if velocity is None else np.array(velocity, dtype=np.float64)
-    p = np.zeros_like(v) if position is None else np.array(position, dtype=np.float64)
-    acceleration = numeric("rotate", q, force[starts]) + down
+    state = np.zeros((len(starts), 10))
+    state[:, :4] = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
+    state[:, 4:7] = 0.0 if velocity is None else velocity
+    state[:, 7:] = 0.0 if position is None else position
+    columns_of = {"rotation": slice(0, 4), "velocity": slice(4, 7), "position": slice(7, 10)}
+    world = None if attitude_record is None else _world_acceleration(force, attitude_record, gravity)
     for h in range(steps):
         now, later = np.minimum(starts + h, last), np.minimum(starts + h + 1, last)
-        turn = 0.5 * dt * (rate[now] + rate[later]) + dt * dt / 12.0 * np.cross(rate[now], rate[later])
-        q = numeric("multiply", q, numeric("exp", turn))
-        q /= np.linalg.norm(q, axis=1, keepdims=True)
-        next_acceleration = numeric("rotate", q, force[later]) + down
-        p = p + dt * v + dt * dt / 6.0 * (2.0 * acceleration + next_acceleration)
-        v = v + 0.5 * dt * (acceleration + next_acceleration)
-        acceleration = next_acceleration
+        samples = np.concatenate([rate[now], rate[later], force[now], force[later]], axis=1)
+        after = evaluate(_strapdown(), state, samples, np.array([dt, gravity]))
+        if world is not None:
+            after[:, 7:] = state[:, 7:] + dt * state[:, 4:7] + dt * dt / 6.0 * (2.0 * world[now] + world[later])
+            after[:, 4:7] = state[:, 4:7] + 0.5 * dt * (world[now] + world[later])
+        state = after
         inside = starts + h + 1 <= last
-        for name, value in (("rotation", q), ("velocity", v), ("position", p)):
-            if name in out:
-                out[name][inside, h] = value[inside]
+        for name, value in out.items():
+            value[inside, h] = state[inside, columns_of[name]]
+    return out
+
+
+def _world_acceleration(force: FloatArray, attitude: FloatArray, gravity: float) -> FloatArray:
+    """Acceleration (N, 3) in the world from specific force and measured attitude; missing ones are interpolated."""
+    seen = complete_rows(attitude)
+    if attitude.shape != (len(force), 4) or not seen.any():
+        raise DataError("dead reckoning: attitude record", expected=f"({len(force)}, 4), not all missing")
+    index = np.arange(len(force))
+    out = np.empty((len(force), 3))
+    turned = numeric("rotate", attitude[seen], force[seen]) - np.array([0.0, 0.0, gravity])
+    for axis in range(3):
+        out[:, axis] = np.interp(index, index[seen], turned[:, axis])
     return out
 
 
@@ -146,12 +180,14 @@ def estimate_imu_bias(
     horizon: int = 25,
     gravity: float = GRAVITY,
     iterations: int = 3,
+    with_attitude_record: bool = False,
 ) -> ImuBias:
     """Biases that make dead reckoning over `horizon` steps agree with the measured pose of an adaptation window.
 
     `attitude` (N, 4), `velocity` (N, 3) measured in the window, NaN = missing; the window lies before every origin that
     the biases are used for, so that smoothed velocities are fair here. Without velocity the accelerometer bias stays 0.
-    Gauss-Newton on the errors in units of their typical size. Raises `DataError` for a window that is too short.
+    `with_attitude_record` as in `dead_reckoning`. Gauss-Newton on the errors in units of their typical size. Raises
+    `DataError` for a window that is too short.
     """
     starts = np.arange(len(imu.rate) - horizon)
     usable = complete_rows(attitude)
@@ -164,6 +200,8 @@ def estimate_imu_bias(
             expected=f"at least {2 * horizon}",
             fix="adapt on more seconds",
         )
+    # Neighbouring origins share most of their samples.
+    starts = starts[:: max(1, horizon // 5)]
 
     def errors(value: FloatArray) -> FloatArray:
         predicted = dead_reckoning(
@@ -174,6 +212,7 @@ def estimate_imu_bias(
             steps=horizon,
             bias=ImuBias(gyro=value[:3], accelerometer=value[3:]),
             gravity=gravity,
+            attitude_record=attitude if with_attitude_record else None,
         )
         turned = error_vectors("rotation", predicted["rotation"][:, -1], attitude[starts + horizon])
         if velocity is None:

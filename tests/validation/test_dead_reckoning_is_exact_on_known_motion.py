@@ -99,6 +99,23 @@ def test_missing_imu_samples_are_counted_and_a_missing_sensor_is_refused() -> No
         )
 
 
+def test_the_measured_attitude_takes_gyro_errors_out_of_the_translation() -> None:
+    position, velocity, attitude, rate, force = _motion()
+    imu = ImuRecord.of(rate + np.array([0.05, 0.0, 0.0]), force, sample_time=DT)
+    k = np.arange(N - H)
+    start = {"attitude": attitude[k], "velocity": velocity[k], "position": position[k]}
+    record = attitude.copy()
+    record[200] = np.nan
+    plain = dead_reckoning(imu, k, steps=H, **start)
+    helped = dead_reckoning(imu, k, steps=H, attitude_record=record, **start)
+    truth = velocity[k + H]
+    assert error_norms("velocity", plain["velocity"][:, -1], truth).max() > 0.05
+    assert error_norms("velocity", helped["velocity"][:, -1], truth).max() < 1e-3
+    np.testing.assert_array_equal(plain["rotation"], helped["rotation"])
+    bias = estimate_imu_bias(imu, attitude=record, velocity=velocity, with_attitude_record=True)
+    np.testing.assert_allclose(bias.accelerometer, 0.0, atol=2e-3)
+
+
 def test_persistence_holds_the_last_measured_value() -> None:
     reference = {"position": np.arange(12.0).reshape(4, 3)}
     reference["position"][2] = np.nan
