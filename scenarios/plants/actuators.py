@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
+import numpy as np
+
 from scenarios.plants.effects.base import PlantEffect, hooks
 from scenarios.plants.vectors import Number, exponential, where
 
@@ -24,6 +26,9 @@ class Actuators:
         constants: tuple[Number, Number] = lags[0]() if lags else (0.0, 0.0)
         self._up, self._down = constants
         self._instant_up, self._instant_down = self._zero(self._up), self._zero(self._down)
+        positive = [float(v) for tau in constants for v in np.ravel(tau) if v > 0.0]
+        self.shortest_lag = min(positive, default=0.0)
+        """Shortest time constant above zero [s], or zero."""
         self._rotors = rotors
         self._history: list[tuple[float, list[Number]]] = []
         self.nu: list[Number] = []

@@ -14,7 +14,7 @@ ROTORS_MAX = 8
 COLUMNS = 6 + 6 + 3 + 3 + 3 + 3 + 3 + 1 + ROTORS_MAX
 """Standard normals per sample: force, torque | drift force, torque | gyro, accelerometer, attitude, position, velocity,
 voltage, rotor speeds. The layout is fixed, so that turning one source off leaves every other sequence as it was."""
-_BLOCK = 256
+_NUMBERS_AHEAD = 2_000_000
 
 
 def axes(value: Number | Vector) -> Vector:
@@ -70,7 +70,8 @@ class Draws:
     def row(self) -> list[Number]:
         """The next sample's numbers: COLUMNS floats, or COLUMNS arrays of shape (B,)."""
         if self._next == len(self._rows):
-            block = np.stack([g.standard_normal((_BLOCK, COLUMNS)) for g in self._generators], axis=-1)
+            rows = max(1, min(256, _NUMBERS_AHEAD // (COLUMNS * len(self._generators))))
+            block = np.stack([g.standard_normal((rows, COLUMNS)) for g in self._generators], axis=-1)
             self._rows = block[:, :, 0].tolist() if self._single else [list(row) for row in block]
             self._next = 0
         self._next += 1

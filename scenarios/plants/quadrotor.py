@@ -75,7 +75,11 @@ class Quadrotor:
         self._gyro = hooks(self.effects, "gyro")
         self._accelerometer = hooks(self.effects, "accelerometer")
         self._attitude = hooks(self.effects, "attitude")
-        self.reset(0)
+        sizes = {np.size(v) for v in self.parameters().values()} - {1}
+        if len(sizes) > 1:
+            raise ValueError(f"parameter values of a batch must have one length, got {sorted(sizes)}")
+        self._members = sizes.pop() if sizes else None
+        self.reset(0 if self._members is None else range(self._members))
 
     @property
     def rotors(self) -> int:
@@ -104,7 +108,8 @@ class Quadrotor:
         given.
         """
         self._batch = None if isinstance(seed, int | np.integer) else len(seed)
-        self._seed = seed
+        if self._members is not None and self._batch != self._members:
+            raise ValueError(f"this plant's parameters have {self._members} values each: give as many seeds")
         self.time = 0.0
         state = [*position, *velocity, *attitude, *rates, *[0.0] * (self.physics.size - CORE)]
         self._state: list[Number] = [self._spread(v) for v in state]
@@ -148,15 +153,26 @@ class Quadrotor:
         for start, duration, command in actuators.pieces(self.time, length):
             actuators.target = actuators.steady(command, self.voltage)
             actuators.nu = [actuators.start(n, s) for n, s in zip(actuators.nu, actuators.target)]
-            count = max(1, math.ceil(duration / self.substep - 1e-6))
-            for k in range(count):
-                self._advance(start + k * duration / count, duration / count)
+            for offset, length_here, limit in self._parts(duration):
+                count = max(1, math.ceil(length_here / limit - 1e-6))
+                h = length_here / count
+                for k in range(count):
+                    self._advance(start + offset + k * h, h)
         if self.battery is not None:
             self._charge = self._charge + length * self.battery.current(actuators.nu)
             self.voltage = self._voltage()
         self.time += length
         self._row = self._draws.row()
         self._disturbance.advance(self._row)
+
+    def _parts(self, duration: float) -> list[tuple[float, float, float]]:
+        """Parts (offset, length, longest step) of a piece: a lag much shorter than a step gets steps of its own."""
+        tau = self._actuators.shortest_lag
+        if tau == 0.0 or 0.25 * tau >= self.substep:
+            return [(0.0, duration, self.substep)]
+        first = min(duration, 15.0 * tau)
+        rest = duration - first
+        return [(0.0, first, 0.25 * tau), *([(first, rest, self.substep)] if rest > 0.0 else [])]
 
     def _advance(self, time: float, h: float) -> None:
         """One Runge-Kutta step of length h [s], rotor speeds exact at its three instants."""
