@@ -93,6 +93,15 @@ class Dynamics(Protocol):
         `sigma` has one standard deviation per error state; it is the prior of the initial state of a flight.
         """
 
+    def reference(self, means: Mapping[str, float]) -> FloatArray:
+        """State x (n_x) at which a stationary gain is linearised, given the mean of every channel of the data."""
+
+    def noise_scale(self, dt: float) -> FloatArray:
+        """Start values of the process-noise levels: standard deviation of w per sample of dt seconds (n_w)."""
+
+    def sensor_scale(self) -> FloatArray:
+        """Start values of the sensor-noise levels, one standard deviation per innovation component (n_e)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StateSpaceModel:
@@ -115,6 +124,7 @@ class StateSpaceModel:
     discrete: bool = False
     initial: Mapping[str, float] | None = None
     initial_sigma: Mapping[str, float] | None = None
+    sensor_sigma: Mapping[str, float] | None = None
     substeps: int = 1
 
     def __post_init__(self) -> None:
@@ -208,6 +218,20 @@ class StateSpaceModel:
             if seen.size and n not in (self.initial or {}):
                 x0[i] = seen[0]
         return x0, sigma
+
+    def reference(self, means: Mapping[str, float]) -> FloatArray:
+        """Declared start values; a state that is measured under its own name at its mean."""
+        return np.array([means.get(n, (self.initial or {}).get(n, 0.0)) for n in self.states.names])
+
+    def noise_scale(self, dt: float) -> FloatArray:
+        """A hundredth of the initial spread, per step (discrete) or per second over a step (continuous)."""
+        sigma = np.array([(self.initial_sigma or {}).get(n, 1.0) for n in self.noises.names])
+        return 0.01 * sigma / (1.0 if self.discrete else dt)
+
+    def sensor_scale(self) -> FloatArray:
+        """`sensor_sigma` where declared, else a tenth of the spread of a state of the same name, else 0.1."""
+        spread = self.initial_sigma or {}
+        return np.array([(self.sensor_sigma or {}).get(n, 0.1 * spread.get(n, 1.0)) for n in self.outputs.names])
 
 
 def _flat(value: object) -> list[Expr]:

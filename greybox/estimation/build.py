@@ -1,0 +1,99 @@
+"""Compile generated C into a shared library, once per content: the build cache.
+
+The key is the SHA-256 of sources, flags and compiler version, so that a cached library is never stale. The cache lives
+in $GREYBOX_CACHE, else $XDG_CACHE_HOME/greybox, else ~/.cache/greybox; where that cannot be written a temporary folder
+serves. Without a C compiler (or with GREYBOX_COMPILER=none) `compiler()` is None and callers use CasADi's VM.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from greybox.errors import GreyboxError
+
+MODEL_FLAGS = ("-O1", "-fPIC", "-w")
+"""Straight-line generated code: -O1 is about as fast as -O2 and compiles several times quicker."""
+DRIVER_FLAGS = ("-O3", "-march=native", "-fPIC", "-w")
+
+
+class BuildError(GreyboxError, RuntimeError):
+    """The C compiler failed on generated code."""
+
+
+@functools.cache
+def compiler() -> str | None:
+    """Path of the C compiler ($GREYBOX_COMPILER, $CC, cc, gcc or clang), or None."""
+    chosen = os.environ.get("GREYBOX_COMPILER")
+    if chosen == "none":
+        return None
+    for name in (chosen, os.environ.get("CC"), "cc", "gcc", "clang"):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    return None
+
+
+@functools.cache
+def _version(path: str) -> str:
+    done = subprocess.run([path, "--version"], capture_output=True, text=True, check=False)
+    return done.stdout.splitlines()[0] if done.stdout else path
+
+
+@functools.cache
+def cache_dir() -> Path:
+    """Folder of built libraries; made when it is not there."""
+    for base in (
+        os.environ.get("GREYBOX_CACHE"),
+        os.path.join(os.environ["XDG_CACHE_HOME"], "greybox") if os.environ.get("XDG_CACHE_HOME") else None,
+        os.path.join(os.path.expanduser("~"), ".cache", "greybox"),
+    ):
+        if base:
+            try:
+                path = Path(base) / "build"
+                path.mkdir(parents=True, exist_ok=True)
+                with tempfile.TemporaryFile(dir=path):
+                    return path
+            except OSError:
+                continue
+    return Path(tempfile.mkdtemp(prefix="greybox-build-"))
+
+
+def build(sources: Sequence[tuple[str, str, Sequence[str]]]) -> Path:
+    """Shared library of C sources [(name, text, flags)]. Raises `BuildError` with the compiler's first complaint."""
+    cc = compiler()
+    if cc is None:
+        raise BuildError("no C compiler", fix="install gcc or clang; without one greybox runs in CasADi's VM")
+    digest = hashlib.sha256(_version(cc).encode())
+    for name, text, flags in sources:
+        digest.update(f"\0{name}\0{' '.join(flags)}\0{text}".encode())
+    target = cache_dir() / f"{digest.hexdigest()}.so"
+    if target.exists():
+        return target
+    with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
+        objects, running = [], []
+        for name, text, flags in sources:
+            path = Path(folder) / name
+            path.write_text(text)
+            objects.append(str(path.with_suffix(".o")))
+            running.append(
+                subprocess.Popen([cc, *flags, "-c", str(path), "-o", objects[-1]], stderr=subprocess.PIPE, text=True)
+            )
+        for process in running:
+            _, complaint = process.communicate()
+            if process.returncode:
+                raise BuildError(f"the C compiler failed: {complaint.strip().splitlines()[:1]}", where=cc)
+        library = str(Path(folder) / "out.so")
+        done = subprocess.run(
+            [cc, "-shared", "-o", library, *objects, "-lm"], capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise BuildError(f"linking failed: {done.stderr.strip().splitlines()[:1]}", where=cc)
+        os.replace(library, target)
+    return target

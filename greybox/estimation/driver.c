@@ -1,0 +1,182 @@
+/* Filter and sensitivity recursion over one record, around a generated linearisation of one step.
+
+   gb_lin(x, U, y, p, dt)  -> xF, e, A, B, E, H, yhat   (prediction, innovation, dxF/dx, dxF/dp, de/dx, de/dp)
+   gb_pred(x, U, p, dt)    -> xF, yhat
+   gb_inject(xF, k)        -> x+, J1, J2                (x+ = xF boxplus k, and its derivatives in xF and k)
+
+   S (nd x ns, row-major) is the derivative of the error state with respect to the local parameters:
+     dE = E S + H,   S+ = J1 (A S + B) + J2 (K dE + dK e)
+   Columns of S: first the na active model parameters, then others (noise levels through dK, initial error states). */
+
+#include <string.h>
+
+#define REAL double
+typedef long long INT;
+
+extern int gb_lin(const REAL **arg, REAL **res, INT *iw, REAL *w, int mem);
+extern const INT *gb_lin_sparsity_out(INT i);
+extern int gb_lin_work(INT *sz_arg, INT *sz_res, INT *sz_iw, INT *sz_w);
+extern int gb_pred(const REAL **arg, REAL **res, INT *iw, REAL *w, int mem);
+extern int gb_pred_work(INT *sz_arg, INT *sz_res, INT *sz_iw, INT *sz_w);
+extern int gb_inject(const REAL **arg, REAL **res, INT *iw, REAL *w, int mem);
+extern const INT *gb_inject_sparsity_out(INT i);
+extern int gb_inject_work(INT *sz_arg, INT *sz_res, INT *sz_iw, INT *sz_w);
+
+/* out (rows x n) += M (compressed columns) * in (cols x n) */
+static void sparse_dense(const INT *sp, const REAL *m, const REAL *in, REAL *out, int n) {
+  const INT ncol = sp[1];
+  const INT *colind = sp + 2, *row = sp + 3 + ncol;
+  for (INT c = 0; c < ncol; ++c) {
+    const REAL *restrict src = in + c * n;
+    for (INT k = colind[c]; k < colind[c + 1]; ++k) {
+      const REAL a = m[k];
+      REAL *restrict dst = out + row[k] * n;
+      for (int j = 0; j < n; ++j) dst[j] += a * src[j];
+    }
+  }
+}
+
+/* out (rows x n), columns col0.. += M scattered (compressed columns, cols <= n - col0) */
+static void scatter(const INT *sp, const REAL *m, REAL *out, int n) {
+  const INT ncol = sp[1];
+  const INT *colind = sp + 2, *row = sp + 3 + ncol;
+  for (INT c = 0; c < ncol; ++c)
+    for (INT k = colind[c]; k < colind[c + 1]; ++k) out[row[k] * n + c] += m[k];
+}
+
+/* Sizes that the caller needs: number of pointers, integers and reals of work memory. */
+void gb_sizes(INT *args, INT *ress, INT *iws, INT *ws) {
+  INT a[3], r[3], i[3], w[3];
+  gb_lin_work(a, r, i, w);
+  gb_inject_work(a + 1, r + 1, i + 1, w + 1);
+  gb_pred_work(a + 2, r + 2, i + 2, w + 2);
+  *args = *ress = *iws = *ws = 0;
+  for (int k = 0; k < 3; ++k) {
+    if (a[k] > *args) *args = a[k];
+    if (r[k] > *ress) *ress = r[k];
+    if (i[k] > *iws) *iws = i[k];
+    if (w[k] > *ws) *ws = w[k];
+  }
+  *args += 8;
+  *ress += 8;
+  *iws += 8;
+  *ws += 8;
+}
+
+/* Run n samples. Arrays are row-major, time first.
+   x (nx) in/out, S (nd*ns) in/out (NULL: no sensitivities); U ((n + past + future) x nu) with the record's first sample
+   at row `past`; Y (n x ny, missing = any number); M (n x ne, 1 = there, 0 = missing); pat (n) index of the gain;
+   K (npat x nd x ne), zero_gain (npat): 1 = no correction; dK (npat x nd x ne x ns, NULL: gain is constant);
+   Xout (n x nx), Eout (n x ne), Yout (n x ny), Jout (n x ne x ns): any may be NULL; Sout (n x nd x ns) likewise.
+   Returns 0, or 1 + k when the numbers stop being finite at sample k. */
+int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL *S, const REAL *U, const REAL *Y,
+           const REAL *M, const int *pat, const REAL *p, REAL dt, const REAL *K, const int *zero_gain, const REAL *dK,
+           REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const REAL **arg, REAL **res, INT *iw, REAL *w,
+           REAL *buf) {
+  const INT *spA = gb_lin_sparsity_out(2), *spB = gb_lin_sparsity_out(3), *spE = gb_lin_sparsity_out(4),
+            *spH = gb_lin_sparsity_out(5), *sp1 = gb_inject_sparsity_out(1), *sp2 = gb_inject_sparsity_out(2);
+#define NNZ(sp) ((sp)[2 + (sp)[1]])
+  REAL *xF = buf, *e = xF + nx, *A = e + ne, *B = A + NNZ(spA), *E = B + NNZ(spB), *H = E + NNZ(spE),
+       *yh = H + NNZ(spH), *k = yh + ny, *J1 = k + nd, *J2 = J1 + NNZ(sp1), *xn = J2 + NNZ(sp2), *dE = xn + nx,
+       *T = dE + ne * ns, *T2 = T + nd * ns, *Sn = T2 + nd * ns;
+  for (int t = 0; t < n; ++t) {
+    const REAL *m = M + (size_t)t * ne;
+    arg[0] = x;
+    arg[1] = U + (size_t)t * nu;
+    arg[2] = Y + (size_t)t * ny;
+    arg[3] = p;
+    arg[4] = &dt;
+    res[0] = xF; res[1] = e; res[2] = S ? A : 0; res[3] = S ? B : 0; res[4] = S ? E : 0; res[5] = S ? H : 0; res[6] = yh;
+    if (gb_lin(arg, res, iw, w, 0)) return 1 + t;
+    for (int i = 0; i < ne; ++i) e[i] = m[i] != 0 ? e[i] : 0;
+    if (Xout) memcpy(Xout + (size_t)t * nx, x, nx * sizeof(REAL));
+    if (Yout) memcpy(Yout + (size_t)t * ny, yh, ny * sizeof(REAL));
+    if (Eout) memcpy(Eout + (size_t)t * ne, e, ne * sizeof(REAL));
+    if (Sout && S) memcpy(Sout + (size_t)t * nd * ns, S, (size_t)nd * ns * sizeof(REAL));
+    if (S) {
+      memset(dE, 0, (size_t)ne * ns * sizeof(REAL));
+      sparse_dense(spE, E, S, dE, ns);
+      scatter(spH, H, dE, ns);
+      for (int i = 0; i < ne; ++i)
+        if (m[i] == 0) memset(dE + (size_t)i * ns, 0, ns * sizeof(REAL));
+      if (Jout) memcpy(Jout + (size_t)t * ne * ns, dE, (size_t)ne * ns * sizeof(REAL));
+      memset(T, 0, (size_t)nd * ns * sizeof(REAL));
+      sparse_dense(spA, A, S, T, ns);
+      scatter(spB, B, T, ns);
+    }
+    const int g = pat[t];
+    if (zero_gain[g]) {
+      memcpy(x, xF, nx * sizeof(REAL));
+      if (S) memcpy(S, T, (size_t)nd * ns * sizeof(REAL));
+    } else {
+      const REAL *Kg = K + (size_t)g * nd * ne;
+      for (int i = 0; i < nd; ++i) {
+        REAL s = 0;
+        for (int j = 0; j < ne; ++j) s += Kg[i * ne + j] * e[j];
+        k[i] = s;
+      }
+      arg[0] = xF; arg[1] = k;
+      res[0] = xn; res[1] = S ? J1 : 0; res[2] = S ? J2 : 0;
+      if (gb_inject(arg, res, iw, w, 0)) return 1 + t;
+      memcpy(x, xn, nx * sizeof(REAL));
+      if (S) {
+        memset(T2, 0, (size_t)nd * ns * sizeof(REAL));
+        for (int i = 0; i < nd; ++i) {
+          REAL *restrict dst = T2 + (size_t)i * ns;
+          for (int j = 0; j < ne; ++j) {
+            const REAL a = Kg[i * ne + j];
+            if (a == 0) continue;
+            const REAL *restrict src = dE + (size_t)j * ns;
+            for (int c = 0; c < ns; ++c) dst[c] += a * src[c];
+          }
+          if (dK) {
+            const REAL *D = dK + ((size_t)g * nd + i) * ne * ns;
+            for (int j = 0; j < ne; ++j) {
+              const REAL a = e[j];
+              if (a == 0) continue;
+              const REAL *restrict src = D + (size_t)j * ns;
+              for (int c = 0; c < ns; ++c) dst[c] += a * src[c];
+            }
+          }
+        }
+        memset(Sn, 0, (size_t)nd * ns * sizeof(REAL));
+        sparse_dense(sp1, J1, T, Sn, ns);
+        sparse_dense(sp2, J2, T2, Sn, ns);
+        memcpy(S, Sn, (size_t)nd * ns * sizeof(REAL));
+      }
+    }
+    for (int i = 0; i < nx; ++i)
+      if (!(x[i] - x[i] == 0)) return 1 + t;
+  }
+  return 0;
+}
+
+/* Length of `buf` for gb_run. */
+INT gb_buffer(int nx, int nd, int ne, int ny, int ns) {
+  const INT *spA = gb_lin_sparsity_out(2), *spB = gb_lin_sparsity_out(3), *spE = gb_lin_sparsity_out(4),
+            *spH = gb_lin_sparsity_out(5), *sp1 = gb_inject_sparsity_out(1), *sp2 = gb_inject_sparsity_out(2);
+  return 2 * nx + ne + ny + nd + NNZ(spA) + NNZ(spB) + NNZ(spE) + NNZ(spH) + NNZ(sp1) + NNZ(sp2) +
+         (INT)ne * ns + 3 * (INT)nd * ns + 64;
+}
+
+/* Open-loop rollouts: from every start state x0 (m x nx) at record row k0[i], predict horizon samples.
+   U as in gb_run; Yout (m x horizon x ny): outputs at rows k0, k0+1, ... (the first is the start's own output). */
+int gb_rollout(int m, int horizon, int nx, int ny, int nu, const REAL *x0, const int *k0, const REAL *U, const REAL *p,
+               REAL dt, REAL *Yout, REAL *Xout, const REAL **arg, REAL **res, INT *iw, REAL *w, REAL *buf) {
+  REAL *x = buf, *xF = buf + nx;
+  for (int i = 0; i < m; ++i) {
+    memcpy(x, x0 + (size_t)i * nx, nx * sizeof(REAL));
+    for (int h = 0; h < horizon; ++h) {
+      arg[0] = x;
+      arg[1] = U + (size_t)(k0[i] + h) * nu;
+      arg[2] = p;
+      arg[3] = &dt;
+      res[0] = xF;
+      res[1] = Yout + ((size_t)i * horizon + h) * ny;
+      if (gb_pred(arg, res, iw, w, 0)) return 1 + i;
+      if (Xout) memcpy(Xout + ((size_t)i * horizon + h) * nx, x, nx * sizeof(REAL));
+      memcpy(x, xF, nx * sizeof(REAL));
+    }
+  }
+  return 0;
+}

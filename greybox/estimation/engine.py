@@ -1,0 +1,293 @@
+"""Engine: one step of a Dynamics with its exact sensitivities, compiled to C, and the recursions over a record.
+
+The step is linearised symbolically in the error state (SX, sparse), generated as C and driven by a small hand-written
+loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters). Without a C compiler the same functions
+run in CasADi's VM under the same recursion in NumPy: the same numbers, slower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build, compiler
+from greybox.model.dynamics import Dynamics
+from greybox.symbolic import Expr, FloatArray
+
+IntArray = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What a pass over n samples gives; arrays that were not asked for are None.
+
+    states (n, n_x) predicted before the sample's correction, innovations (n, n_e), outputs (n, n_y) predicted,
+    sensitivity (n, n_e, n_s) of the innovations, state_sensitivity (n, n_d, n_s), end (n_x,), end_sensitivity (n_d, n_s).
+    """
+
+    states: FloatArray | None
+    innovations: FloatArray | None
+    outputs: FloatArray | None
+    sensitivity: FloatArray | None
+    state_sensitivity: FloatArray | None
+    end: FloatArray
+    end_sensitivity: FloatArray | None
+    failed_at: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainTable:
+    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative (n_pat, n_d, n_e, n_s) or None.
+
+    `zero[i]` true: pattern i corrects nothing (pure simulation).
+    """
+
+    gain: FloatArray
+    zero: IntArray
+    derivative: FloatArray | None = None
+
+
+def symbols(dynamics: Dynamics) -> dict[str, Expr]:
+    """SX symbols x, U (n_u x window), p, w, dt, y of a Dynamics."""
+    past, future = dynamics.window
+    return {
+        "x": ca.SX.sym("x", len(dynamics.states)),
+        "U": ca.SX.sym("U", len(dynamics.inputs), past + 1 + future),
+        "p": ca.SX.sym("p", len(dynamics.parameters)),
+        "w": ca.SX.sym("w", len(dynamics.noises)),
+        "dt": ca.SX.sym("dt"),
+        "y": ca.SX.sym("y", len(dynamics.outputs)),
+    }
+
+
+def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
+    """(d boxplus(x, d)/dd at d = 0 (n_x x n_d), d boxminus(z', z)/dz' at z' = z (n_d x n_x)): in and out of the chart."""
+    d, other = ca.SX.sym("d", len(dynamics.error_states)), ca.SX.sym("z", len(dynamics.states))
+    into = ca.substitute(ca.jacobian(dynamics.boxplus(x, d), d), d, ca.DM.zeros(d.numel()))
+    out = ca.substitute(ca.jacobian(dynamics.boxminus(other, z), other), other, z)
+    return into, out
+
+
+class Engine:
+    """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
+
+    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`.
+    """
+
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> None:
+        self.dynamics = dynamics
+        self.active = active
+        self.nx, self.nd = len(dynamics.states), len(dynamics.error_states)
+        self.ne, self.ny, self.nu = len(dynamics.innovations), len(dynamics.outputs), len(dynamics.inputs)
+        self.past, self.future = dynamics.window
+        names = [p.name for p in dynamics.parameters]
+        self.active_index = np.array([names.index(a) for a in active], dtype=int)
+        self._functions()
+        self._library: Any = None
+        if use_compiler and compiler() is not None:
+            self._compile()
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the step runs as compiled C."""
+        return self._library is not None
+
+    def _functions(self) -> None:
+        d = self.dynamics
+        s = symbols(d)
+        x, window, p, dt, y = s["x"], s["U"], s["p"], s["dt"], s["y"]
+        w0 = ca.DM.zeros(len(d.noises))
+        chosen = [int(i) for i in self.active_index]
+        after = d.step(0, x, window, p, w0, dt)
+        y_hat = d.output(0, x, window, p, w0, dt)
+        e = d.innovation(y, y_hat, x)
+        into, out = chart_jacobians(d, x, after)
+        a = ca.sparsify(out @ ca.jacobian(after, x) @ into)
+        b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
+        ex = ca.sparsify(ca.jacobian(e, x) @ into)
+        ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
+        self.lin = ca.Function(
+            "gb_lin", [x, window, y, p, dt], [ca.densify(after), ca.densify(e), a, b, ex, ep, ca.densify(y_hat)]
+        )
+        self.pred = ca.Function("gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)])
+        z, k = ca.SX.sym("xF", self.nx), ca.SX.sym("k", self.nd)
+        moved = d.boxplus(z, k)
+        z_into, moved_out = chart_jacobians(d, z, moved)
+        j1 = ca.sparsify(moved_out @ ca.jacobian(moved, z) @ z_into)
+        j2 = ca.sparsify(moved_out @ ca.jacobian(moved, k))
+        self.inject = ca.Function("gb_inject", [z, k], [ca.densify(moved), j1, j2])
+
+    def _compile(self) -> None:
+        generator = ca.CodeGenerator("gb_model.c", {"with_header": False})
+        for f in (self.lin, self.pred, self.inject):
+            generator.add(f)
+        driver = resources.files("greybox.estimation").joinpath("driver.c").read_text()
+        path = build([("gb_model.c", generator.dump(), MODEL_FLAGS), ("gb_driver.c", driver, DRIVER_FLAGS)])
+        library = ctypes.CDLL(str(path))
+        library.gb_buffer.restype = ctypes.c_longlong
+        sizes = [ctypes.c_longlong() for _ in range(4)]
+        library.gb_sizes(*(ctypes.byref(v) for v in sizes))
+        self._work = [v.value for v in sizes]
+        self._library = library
+
+    def padded_inputs(self, u: FloatArray) -> FloatArray:
+        """Record of commands (n, n_u) with its first and last rows repeated for the window: (n + past + future, n_u)."""
+        u = np.asarray(u, dtype=np.float64)
+        if not (self.past or self.future):
+            return np.ascontiguousarray(u)
+        return np.ascontiguousarray(
+            np.concatenate([np.repeat(u[:1], self.past, 0), u, np.repeat(u[-1:], self.future, 0)])
+        )
+
+    def run(
+        self,
+        *,
+        x0: FloatArray,
+        inputs: FloatArray,
+        outputs: FloatArray,
+        mask: FloatArray,
+        pattern: IntArray,
+        gains: GainTable,
+        p: FloatArray,
+        dt: float,
+        s0: FloatArray | None = None,
+        want: frozenset[str] = frozenset({"innovations"}),
+    ) -> Run:
+        """Filter n samples: `inputs` padded by `padded_inputs`, outputs (n, n_y), mask (n, n_e), pattern (n,).
+
+        `want` names the arrays of `Run` to keep. With `s0` (n_d, n_s) the sensitivities run along: the first columns
+        belong to the active parameters, the others only to what s0 and the gain's derivative put there.
+        """
+        n = outputs.shape[0]
+        ns = 0 if s0 is None else s0.shape[1]
+        x = np.array(x0, dtype=np.float64)
+        s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
+        y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
+        shapes = {
+            "states": (n, self.nx), "innovations": (n, self.ne), "outputs": (n, self.ny),
+            "sensitivity": (n, self.ne, ns), "state_sensitivity": (n, self.nd, ns),
+        }  # fmt: skip
+        out = {k: (np.zeros(v) if k in want and (ns or "sens" not in k) else None) for k, v in shapes.items()}
+        mask = np.ascontiguousarray(mask, dtype=np.float64)
+        pattern = np.ascontiguousarray(pattern, dtype=np.int32)
+        call = self._run_c if self.compiled else self._run_vm
+        bad = call(n, ns, x, s, np.ascontiguousarray(inputs), y, mask, pattern, gains, np.ascontiguousarray(p), dt, out)
+        return Run(**out, end=x, end_sensitivity=s, failed_at=None if bad == 0 else bad - 1)
+
+    def _scratch(self, ns: int) -> tuple[Any, Any, Any, Any, Any]:
+        a, r, i, w = self._work
+        length = int(self._library.gb_buffer(self.nx, self.nd, self.ne, self.ny, max(ns, 1)))
+        return (
+            (ctypes.c_void_p * a)(), (ctypes.c_void_p * r)(), (ctypes.c_longlong * i)(), (ctypes.c_double * w)(),
+            np.zeros(length),
+        )  # fmt: skip
+
+    def _run_c(
+        self, n: int, ns: int, x: Any, s: Any, u: Any, y: Any, mask: Any, pattern: Any, gains: GainTable, p: Any,
+        dt: float, out: dict[str, Any],
+    ) -> int:  # fmt: skip
+        arg, res, iw, w, buffer = self._scratch(ns)
+        gain = np.ascontiguousarray(gains.gain)
+        zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
+        slope = None if gains.derivative is None or not ns else np.ascontiguousarray(gains.derivative)
+        return int(
+            self._library.gb_run(
+                n, self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x), _ptr(s), _ptr(u), _ptr(y), _ptr(mask),
+                _ptr(pattern), _ptr(p), ctypes.c_double(dt), _ptr(gain), _ptr(zero), _ptr(slope), _ptr(out["states"]),
+                _ptr(out["innovations"]), _ptr(out["outputs"]), _ptr(out["sensitivity"]),
+                _ptr(out["state_sensitivity"]), arg, res, iw, w, _ptr(buffer),
+            )
+        )  # fmt: skip
+
+    def _run_vm(
+        self, n: int, ns: int, x: Any, s: Any, u: Any, y: Any, mask: Any, pattern: Any, gains: GainTable, p: Any,
+        dt: float, out: dict[str, Any],
+    ) -> int:  # fmt: skip
+        width = self.past + 1 + self.future
+        na = len(self.active)
+        for t in range(n):
+            xf, e, a, b, ex, ep, yh = self.lin(x, u[t : t + width].T, y[t], p, dt)
+            e = np.asarray(e.full()).ravel() * (mask[t] != 0)
+            for key, value in (("states", x), ("innovations", e), ("outputs", np.asarray(yh.full()).ravel())):
+                if out[key] is not None:
+                    out[key][t] = value
+            if s is not None:
+                if out["state_sensitivity"] is not None:
+                    out["state_sensitivity"][t] = s
+                de = ex.full() @ s
+                de[:, :na] += ep.full()
+                de *= (mask[t] != 0)[:, None]
+                if out["sensitivity"] is not None:
+                    out["sensitivity"][t] = de
+                moved = a.full() @ s
+                moved[:, :na] += b.full()
+            g = int(pattern[t])
+            if gains.zero[g]:
+                x[:] = np.asarray(xf.full()).ravel()
+                if s is not None:
+                    s[:] = moved
+            else:
+                xn, j1, j2 = self.inject(xf, gains.gain[g] @ e)
+                x[:] = np.asarray(xn.full()).ravel()
+                if s is not None:
+                    push = gains.gain[g] @ de
+                    if gains.derivative is not None:
+                        push += np.einsum("ijs,j->is", gains.derivative[g], e)
+                    s[:] = j1.full() @ moved + j2.full() @ push
+            if not np.isfinite(x).all():
+                return 1 + t
+        return 0
+
+    def rollout(
+        self, *, starts: FloatArray, rows: npt.NDArray[np.int_], horizon: int, inputs: FloatArray, p: FloatArray, dt: float,
+        want_states: bool = False,
+    ) -> tuple[FloatArray, FloatArray | None]:  # fmt: skip
+        """Open-loop outputs (m, horizon, n_y) at rows k, k+1, ... from the states `starts` (m, n_x) at the rows k."""
+        m = len(rows)
+        y = np.zeros((m, horizon, self.ny))
+        states = np.zeros((m, horizon, self.nx)) if want_states else None
+        starts = np.ascontiguousarray(starts, dtype=np.float64)
+        u, p = np.ascontiguousarray(inputs), np.ascontiguousarray(p, dtype=np.float64)
+        if self.compiled:
+            arg, res, iw, w, buffer = self._scratch(1)
+            k0 = np.ascontiguousarray(rows, dtype=np.int32)
+            self._library.gb_rollout(
+                m, horizon, self.nx, self.ny, self.nu, _ptr(starts), _ptr(k0), _ptr(u), _ptr(p), ctypes.c_double(dt),
+                _ptr(y), _ptr(states), arg, res, iw, w, _ptr(buffer),
+            )  # fmt: skip
+            return y, states
+        width = self.past + 1 + self.future
+        step = self.pred.map(m)
+        x = starts.T
+        for h in range(horizon):
+            windows = np.concatenate([u[k + h : k + h + width].T for k in rows], axis=1)
+            after, yh = step(x, windows, np.repeat(p[:, None], m, 1), np.full((1, m), dt))
+            y[:, h] = yh.full().T
+            if states is not None:
+                states[:, h] = np.asarray(x).T
+            x = after.full()
+        return y, states
+
+
+def _ptr(array: Any) -> Any:
+    return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
+
+
+@functools.lru_cache(maxsize=32)
+def _cached(dynamics: Dynamics, active: tuple[str, ...], use_compiler: bool) -> Engine:
+    return Engine(dynamics, active, use_compiler=use_compiler)
+
+
+def engine_for(dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> Engine:
+    """The engine of a model and a set of active parameters, built once per process."""
+    try:
+        return _cached(dynamics, tuple(active), use_compiler)
+    except TypeError:  # a model that cannot be hashed
+        return Engine(dynamics, tuple(active), use_compiler=use_compiler)

@@ -1,0 +1,210 @@
+"""Stationary Kalman gain of a linearised Dynamics, and its exact derivative with respect to all parameters.
+
+Linearisation at a reference point, with process noise w ~ (0, Q) that enters state and output alike:
+
+    d+ = A d + G w,   e = C d + D w + v,   v ~ (0, R)
+    P = A P A' + G Q G' - K S K',   S = C P C' + D Q D' + R,   K = (A P C' + G Q D') S^-1
+
+(Anderson and Moore 1979, Optimal Filtering, ch. 4 and sec. 5.4 for correlated noise.) The Riccati equation is solved by
+structure-preserving doubling (Chu, Fan, Lin and Wang 2004, Int. J. Control 77(8)), its derivative by a Lyapunov equation
+through the closed loop A - K C (squared Smith iteration, Smith 1968). Directions that no sensor sees and no dynamics
+damps (heading without a compass) would make P infinite; a very weak pseudo-measurement of every error state keeps it
+finite without touching the gain of what is seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import FitError
+from greybox.estimation.engine import chart_jacobians, symbols
+from greybox.model.dynamics import Dynamics
+from greybox.symbolic import FloatArray
+
+
+class Linearisation:
+    """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active parameters."""
+
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...]) -> None:
+        s = symbols(dynamics)
+        x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
+        names = [q.name for q in dynamics.parameters]
+        chosen = [names.index(a) for a in active]
+        after = dynamics.step(0, x, u, p, w, dt)
+        y_hat = dynamics.output(0, x, u, p, w, dt)
+        quiet = ca.DM.zeros(len(dynamics.noises))
+        into, out = chart_jacobians(dynamics, x, after)
+        y = ca.SX.sym("y", y_hat.numel())
+        e = dynamics.innovation(y, y_hat, x)
+        # At the reference the measured value equals the prediction.
+        at = {"A": out @ ca.jacobian(after, x) @ into, "G": out @ ca.jacobian(after, w)}
+        at |= {"C": -(ca.jacobian(e, x) @ into), "D": -ca.jacobian(e, w)}
+        parts = [ca.substitute(ca.substitute(v, y, y_hat), w, quiet) for v in at.values()]
+        self._shapes = [v.shape for v in parts]
+        stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in parts))
+        slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
+        self._function = ca.Function("linearisation", [x, u, p, dt], [stacked, slopes])
+        self._value_only = ca.Function("linearisation_value", [x, u, p, dt], [stacked])
+
+    def __call__(
+        self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
+    ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
+        value, slope = self._function(x, window, p, dt)
+        return self._unpack(value.full()[:, 0][:, None], False), self._unpack(slope.full(), True)
+
+    def values(self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float) -> tuple[FloatArray, ...]:
+        """(A, G, C, D)."""
+        return self._unpack(self._value_only(x, window, p, dt).full(), False)
+
+    def _unpack(self, columns: Any, many: bool) -> tuple[FloatArray, ...]:
+        out, at = [], 0
+        for rows, cols in self._shapes:
+            block = columns[at : at + rows * cols]
+            at += rows * cols
+            stack = np.ascontiguousarray(block.T.reshape(-1, cols, rows).transpose(0, 2, 1))
+            out.append(stack if many else stack[0])
+        return tuple(out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Riccati:
+    """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need."""
+
+    P: FloatArray
+    N: FloatArray  # A P C' + G Q D', (n_d, n_e)
+    S: FloatArray  # innovation covariance of all channels, (n_e, n_e)
+    dP: FloatArray | None = None  # (n_s, n_d, n_d)
+    dN: FloatArray | None = None
+    dS: FloatArray | None = None
+
+    def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
+        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured.
+
+        K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both keep their size.
+        """
+        m = np.asarray(there) != 0
+        ne = m.size
+        s = np.eye(ne)
+        s[np.ix_(m, m)] = self.S[np.ix_(m, m)]
+        k = np.zeros_like(self.N)
+        inverse = np.linalg.inv(s[np.ix_(m, m)])
+        k[:, m] = self.N[:, m] @ inverse
+        if self.dN is None or self.dS is None:
+            return k, s, None, None
+        ds = np.zeros_like(self.dS)
+        ds[:, m[:, None] & m[None, :]] = self.dS[:, m[:, None] & m[None, :]]
+        dk = np.zeros_like(self.dN)
+        dk[:, :, m] = (self.dN[:, :, m] - k[:, m] @ ds[:, m][:, :, m]) @ inverse
+        return k, s, dk, ds
+
+
+def solve_riccati(
+    a: FloatArray, g: FloatArray, c: FloatArray, d: FloatArray, q: FloatArray, r: FloatArray, weak: FloatArray
+) -> FloatArray:
+    """Stabilising P of the filter Riccati equation. q (n_w), r (n_e) are variances; weak (n_d) that of the pseudo-sensor.
+
+    Raises `FitError` where the doubling does not converge.
+    """
+    n = a.shape[0]
+    gq = g * q
+    dq = d * q
+    rt = np.diag(r) + dq @ d.T
+    solved = np.linalg.solve(rt, np.column_stack([dq @ g.T, c]))  # R~^-1 [D Q G', C]
+    cross = solved[:, :n].T  # G Q D' R~^-1
+    ak = a - cross @ c
+    hk = gq @ g.T - cross @ (dq @ g.T)
+    hk = 0.5 * (hk + hk.T)
+    gk = c.T @ solved[:, n:] + np.diag(1.0 / weak)
+    gk = 0.5 * (gk + gk.T)
+    # Balance: the states differ by orders of magnitude.
+    scale = np.sqrt(np.maximum(np.diag(hk), 1e-12 * weak))
+    ak = ak * scale[None, :] / scale[:, None]
+    hk = hk / np.outer(scale, scale)
+    gk = gk * np.outer(scale, scale)
+    ak = ak.T  # filter form by duality
+    eye = np.eye(n)
+    for _ in range(60):
+        w = eye + gk @ hk
+        try:
+            v1 = np.linalg.solve(w, ak)
+            v2 = np.linalg.solve(w, gk)
+        except np.linalg.LinAlgError:
+            raise FitError("the Riccati equation of the predictor is singular") from None
+        step = ak.T @ hk @ v1
+        gk = gk + ak @ v2 @ ak.T
+        ak = ak @ v1
+        new = hk + 0.5 * (step + step.T)
+        gk = 0.5 * (gk + gk.T)
+        if not np.isfinite(new).all():
+            break
+        if np.abs(new - hk).max() <= 1e-14 * np.abs(new).max():
+            return new * np.outer(scale, scale)
+        hk = new
+    raise FitError(
+        "the Riccati equation of the predictor has no stationary solution",
+        fix="measure the states that drift, or use the extended Kalman filter predictor",
+    )
+
+
+def stationary(
+    values: tuple[FloatArray, ...],
+    q: FloatArray,
+    r: FloatArray,
+    weak: FloatArray,
+    slopes: tuple[FloatArray, ...] | None = None,
+    dq: FloatArray | None = None,
+    dr: FloatArray | None = None,
+) -> Riccati:
+    """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its derivatives.
+
+    The first axis of all derivatives is the same list of parameters; slopes of model parameters may be shorter (the
+    remaining parameters are noise levels, which do not move A, G, C, D).
+    """
+    a, g, c, d = values
+    p = solve_riccati(a, g, c, d, q, r, weak)
+    gqd = (g * q) @ d.T
+    n_ = a @ p @ c.T + gqd
+    s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
+    if slopes is None or dq is None or dr is None:
+        return Riccati(P=p, N=n_, S=s)
+    # Gain of the problem with the pseudo-sensor (the one that P solves).
+    full_s = np.block([[s, c @ p], [p @ c.T, p + np.diag(weak)]])
+    full_k = np.column_stack([n_, a @ p]) @ np.linalg.inv(full_s)
+    ke, kw = full_k[:, : r.size], full_k[:, r.size :]
+    closed = a - ke @ c - kw
+    through = g - ke @ d
+    da, dg, dc, dd = (_extend(v, dq.shape[0]) for v in slopes)
+    m = (da - ke @ dc) @ (p @ closed.T) + (dg - ke @ dd) @ ((through * q).T)
+    m = m + m.transpose(0, 2, 1)
+    m = m + np.einsum("ik,sk,jk->sij", through, dq, through) + np.einsum("ik,sk,jk->sij", ke, dr, ke)
+    dp = _smith(closed, m)
+    pc = p @ c.T
+    dn = da @ pc + a @ dp @ c.T + (a @ p) @ dc.transpose(0, 2, 1)
+    dn = dn + (dg * q) @ d.T + np.einsum("ik,sk,jk->sij", g, dq, d) + (g * q) @ dd.transpose(0, 2, 1)
+    half = dc @ pc + (dd * q) @ d.T
+    ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + np.einsum("ik,sk,jk->sij", d, dq, d)
+    ds[:, np.arange(r.size), np.arange(r.size)] += dr
+    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds)
+
+
+def _extend(stack: FloatArray, n: int) -> FloatArray:
+    if stack.shape[0] == n:
+        return stack
+    return np.concatenate([stack, np.zeros((n - stack.shape[0], *stack.shape[1:]))])
+
+
+def _smith(closed: FloatArray, m: FloatArray) -> FloatArray:
+    """X = closed X closed' + M for a stack of M, by squaring."""
+    x, f = m, closed
+    for _ in range(60):
+        step = f @ x @ f.T
+        x = x + step
+        if np.abs(step).max() <= 1e-15 * max(float(np.abs(x).max()), 1e-300):
+            return x
+        f = f @ f
+    return x

@@ -1,0 +1,122 @@
+"""Innovation form with a stationary gain: the one-step predictor of a model with process noise.
+
+    x_hat(k+1) = F(x_hat(k), u_k) boxplus K e_k,   e_k = y_k - h(x_hat(k), u_k),   cov(e) = S
+
+K and S follow from the noise levels (and parameters) by the Riccati equation at a reference point; where channels are
+missing the same state covariance gives the gain of those that are there. Sensitivities include dK and dS: they are the
+exact derivatives of the predictor. (Ljung 1999, System Identification, sec. 4.3 and 7.2; Jategaonkar 2015, Flight Vehicle
+System Identification, ch. 5: filter-error method.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import FitError
+from greybox.estimation.engine import GainTable
+from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.problem import Block, Problem
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Innovation:
+    """Stationary-gain innovation form."""
+
+    name: str = "innovation"
+    has_noise: bool = True
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """Linearise once, symbolically; choose the reference state and command."""
+        d = problem.dynamics
+        past, future = d.window
+        u = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
+        weak = np.max([r.x0_sigma for r in problem.records], axis=0) * 100.0
+        return {
+            "linearisation": Linearisation(d, problem.engine.active),
+            "reference": (d.reference(problem.means), np.repeat(u[:, None], past + 1 + future, axis=1)),
+            "weak": weak**2,
+        }
+
+    def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
+        """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
+        lin: Any = problem.state["linearisation"]
+        x, window = problem.state["reference"]  # type: ignore[misc]
+        weak: Any = problem.state["weak"]
+        p = problem.parameters_of(theta, None)
+        process, sensor = problem.noise_levels(theta)
+        q, r = process**2, sensor**2
+        if not slopes:
+            return stationary(lin.values(x, window, p, problem.dt), q, r, weak)
+        values, dvalues = lin(x, window, p, problem.dt)
+        # A per-flight parameter does not move the common gain.
+        shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
+        dvalues = tuple(v * shared[:, None, None] for v in dvalues)
+        na, nw, ne = len(problem.engine.active), q.size, r.size
+        noisy = 0 if problem.place("noise.process." + problem.dynamics.noises.names[0]) is None else nw + ne
+        dq, dr = np.zeros((na + noisy, nw)), np.zeros((na + noisy, ne))
+        if noisy:
+            dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
+            dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
+        return stationary(values, q, r, weak, dvalues, dq, dr)
+
+    def tables(
+        self, riccati: Riccati, patterns: FloatArray, extra: int
+    ) -> tuple[GainTable, FloatArray, FloatArray | None]:
+        """(gains, covariances, covariance slopes) per pattern, with `extra` columns of zero slope appended."""
+        parts = [riccati.gain(m) for m in patterns]
+        k = np.array([v[0] for v in parts])
+        s = np.array([v[1] for v in parts])
+        zero = np.array([not m.any() for m in patterns], dtype=np.int32)
+        if riccati.dN is None:
+            return GainTable(gain=k, zero=zero), s, None
+        dk = np.array([np.moveaxis(v[2], 0, -1) for v in parts])  # type: ignore[arg-type]
+        dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
+        ds = np.array([v[3] for v in parts])
+        ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)
+        return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """Innovations of every record."""
+        riccati = self.riccati(problem, theta, jacobian)
+        engine = problem.engine
+        free_start = bool(problem.state["estimate_initial"])
+        nd = engine.nd if free_start else 0
+        noise = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
+        noise += [f"noise.sensor.{n}" for n in problem.dynamics.innovations.names]
+        places = [problem.place(n) for n in noise]
+        noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
+        ns = len(engine.active) + noise_columns.size + nd
+
+        def work(i: int) -> Block:
+            record = problem.records[i]
+            gains, s, ds = self.tables(riccati, record.patterns, nd)
+            x0 = problem.initial_state(theta, i) if free_start else record.x0
+            s0 = None
+            if jacobian:
+                s0 = np.zeros((engine.nd, ns))
+                if free_start:
+                    # Derivative of the moved start in its own chart (identity to first order in the small move).
+                    _, _, j2 = engine.inject(record.x0, theta[problem.initial_columns(i)])
+                    s0[:, ns - nd :] = j2.full()
+            run = engine.run(
+                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                gains=gains, p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=s0,
+                want=frozenset({"innovations", "sensitivity"}) if jacobian else frozenset({"innovations"}),
+            )  # fmt: skip
+            if run.failed_at is not None:
+                raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
+            assert run.innovations is not None
+            columns = [problem.local_columns(record.flight), noise_columns]
+            if free_start:
+                columns.append(problem.initial_columns(i))
+            return Block(
+                record=record, e=run.innovations, mask=record.mask, jacobian=run.sensitivity,
+                columns=np.concatenate(columns), covariance=s, covariance_slope=ds, pattern=record.pattern,
+            )  # fmt: skip
+
+        return problem.map_records(work)

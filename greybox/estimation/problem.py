@@ -1,0 +1,334 @@
+"""Problem: the unknowns of a fit and its cost, gradient and Gauss-Newton Hessian. Solvers see only this.
+
+Unknowns, in this order: shared model parameters; natural logarithms of noise levels; per-flight model parameters;
+initial error state of every record. Priors are Gaussian and part of the cost (maximum a posteriori), bounds are hard.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Dataset
+from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.record import Record, channel_means, make_records, sample_time
+from greybox.model.dynamics import Dynamics
+from greybox.model.parameter import Parameter, ParameterValues
+from greybox.symbolic import FloatArray
+
+IndexArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """One scalar of the search space. `name` is the parameter's; `flight` is set for a per-flight copy."""
+
+    name: str
+    kind: str  # "parameter", "noise" or "initial"
+    flight: str | None
+    start: float
+    lower: float
+    upper: float
+    mean: float
+    sigma: float
+    scale: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """What one record adds to the criterion: residuals and how they depend on the unknowns.
+
+    e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,) their places among the
+    unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing channels and its derivative (n_pat, n_s, n_e,
+    n_e), or None where the criterion estimates the weights itself; pattern (n,).
+    """
+
+    record: Record
+    e: FloatArray
+    mask: FloatArray
+    jacobian: FloatArray | None
+    columns: IndexArray
+    covariance: FloatArray | None
+    covariance_slope: FloatArray | None
+    pattern: npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """Cost (negative log posterior up to nothing: constants included), gradient, Gauss-Newton Hessian, block scores.
+
+    `scores` (n_blocks, n): gradient of consecutive stretches, for the sandwich covariance. `likelihood` is the cost
+    without priors. `valid` False: the model's numbers stopped being finite.
+    """
+
+    cost: float
+    likelihood: float
+    gradient: FloatArray | None = None
+    hessian: FloatArray | None = None
+    data_hessian: FloatArray | None = None
+    scores: FloatArray | None = None
+    valid: bool = True
+
+
+class Predictor(Protocol):
+    """Turns unknowns into residuals. `has_noise`: whether noise levels are unknowns of the fit."""
+
+    name: str
+    has_noise: bool
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """Work that is done once per problem."""
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """Residuals of every record at `theta`, in the order of the records."""
+
+
+class Criterion(Protocol):
+    """Turns residuals into a cost."""
+
+    name: str
+
+    def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
+        """Cost without priors (order 0), with gradient and Gauss-Newton Hessian (order 1)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """A fit as a minimisation. Build it with `make_problem`."""
+
+    dynamics: Dynamics
+    engine: Engine
+    predictor: Predictor
+    criterion: Criterion
+    records: Sequence[Record]
+    unknowns: tuple[Unknown, ...]
+    base: FloatArray  # values of all model parameters (n_p) where they are not unknowns
+    dt: float
+    means: Mapping[str, float]
+    flights: tuple[str, ...]
+    state: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.state.update(self.predictor.prepare(self))
+
+    # ------------------------------------------------------------ vectors
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return len(self.unknowns)
+
+    @property
+    def start(self) -> FloatArray:
+        """Start values."""
+        return np.array([u.start for u in self.unknowns])
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds."""
+        return np.array([u.lower for u in self.unknowns])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Upper bounds."""
+        return np.array([u.upper for u in self.unknowns])
+
+    @property
+    def scale(self) -> FloatArray:
+        """Typical sizes, for conditioning."""
+        return np.array([u.scale for u in self.unknowns])
+
+    def _index(self) -> dict[tuple[str, str | None], int]:
+        table = self.state.get("index")
+        if table is None:
+            table = {(u.name, u.flight): i for i, u in enumerate(self.unknowns)}
+            self.state["index"] = table
+        return table  # type: ignore[return-value]
+
+    def place(self, name: str, flight: str | None = None) -> int | None:
+        """Index of an unknown (the flight's own copy, else the shared one), or None where it is fixed."""
+        table = self._index()
+        return table.get((name, flight), table.get((name, None)))
+
+    def parameters_of(self, theta: FloatArray, flight: str | None) -> FloatArray:
+        """The model's parameter vector p (n_p) for one flight; None: per-flight parameters at their base values."""
+        p = self.base.copy()
+        for i, d in enumerate(self.dynamics.parameters):
+            at = self._index().get((d.name, flight)) if flight is not None else None
+            if at is None:
+                at = self._index().get((d.name, None))
+            if at is not None:
+                p[i] = theta[at]
+        return p
+
+    def noise_levels(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(process (n_w), sensor (n_e)) standard deviations per sample."""
+        process = self.dynamics.noise_scale(self.dt)
+        sensor = self.dynamics.sensor_scale()
+        fixed_w, fixed_v = self.state.get("process_level"), self.state.get("sensor_level")
+        process = np.asarray(fixed_w) if fixed_w is not None else process
+        sensor = np.asarray(fixed_v) if fixed_v is not None else sensor
+        process, sensor = process.copy(), sensor.copy()
+        for i, n in enumerate(self.dynamics.noises.names):
+            at = self._index().get((f"noise.process.{n}", None))
+            if at is not None:
+                process[i] = np.exp(theta[at])
+        for i, n in enumerate(self.dynamics.innovations.names):
+            at = self._index().get((f"noise.sensor.{n}", None))
+            if at is not None:
+                sensor[i] = np.exp(theta[at])
+        return process, sensor
+
+    def local_columns(self, flight: str) -> IndexArray:
+        """Places of the engine's active parameters for one flight."""
+        return np.array([self.place(a, flight) for a in self.engine.active], dtype=np.intp)
+
+    def initial_columns(self, record_index: int) -> IndexArray:
+        """Places of the initial error state of one record."""
+        tag = f"record {record_index}"
+        return np.array([self._index()[(n, tag)] for n in self.dynamics.error_states.names], dtype=np.intp)
+
+    def initial_state(self, theta: FloatArray, record_index: int) -> FloatArray:
+        """x0 of a record: its measured start moved by the initial error state."""
+        d = theta[self.initial_columns(record_index)]
+        moved, _, _ = self.engine.inject(self.records[record_index].x0, d)
+        return np.asarray(moved.full()).ravel()
+
+    # ------------------------------------------------------------ cost
+
+    def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that many samples."""
+        from greybox.errors import FitError
+
+        try:
+            value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
+        except (FitError, np.linalg.LinAlgError):
+            return Value(cost=np.inf, likelihood=np.inf, valid=False)
+        if not np.isfinite(value.cost):
+            return Value(cost=np.inf, likelihood=np.inf, valid=False)
+        mean = np.array([u.mean for u in self.unknowns])
+        precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns])
+        off = np.where(precision > 0, theta - mean, 0.0)
+        cost = value.cost + 0.5 * float((precision * off * off).sum())
+        if order == 0:
+            return Value(cost=cost, likelihood=value.cost)
+        assert value.gradient is not None and value.hessian is not None
+        return Value(
+            cost=cost, likelihood=value.cost, gradient=value.gradient + precision * off,
+            hessian=value.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
+        )  # fmt: skip
+
+    def map_records(self, work: Callable[[int], Block]) -> list[Block]:
+        """`work(i)` for every record, on all cores when the engine is compiled; results in order."""
+        count = len(self.records)
+        workers = min(count, os.cpu_count() or 1)
+        if workers > 1 and self.engine.compiled:
+            with concurrent.futures.ThreadPoolExecutor(workers) as pool:
+                return list(pool.map(work, range(count)))
+        return [work(i) for i in range(count)]
+
+
+def make_problem(
+    dynamics: Dynamics,
+    dataset: Dataset,
+    *,
+    predictor: Predictor,
+    criterion: Criterion,
+    free: Iterable[str] | None = None,
+    fixed: Iterable[str] = (),
+    per_flight: Iterable[str] = (),
+    shared: Iterable[str] = (),
+    values: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    flight_priors: Mapping[str, tuple[float, float]] | None = None,
+    noise: Mapping[str, float] | None = None,
+    estimate_noise: bool = True,
+    estimate_initial: bool = True,
+    use_compiler: bool = True,
+) -> Problem:
+    """Set up the unknowns of a fit.
+
+    Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`, less `fixed`; those
+    whose declared scope is flight, or that `per_flight` names, get one copy per flight (`shared` takes it back).
+    `values` are start values (and the values of fixed parameters), `priors` name -> (mean, sigma) replace declared ones,
+    `flight_priors` hold for every per-flight copy. `noise` gives levels by name ("noise.sensor.p"), in SI units.
+    Raises `UnknownNameError`, `DataError`, `ModelError`.
+    """
+    declared = {d.name: d for d in dynamics.parameters}
+
+    def known(names: Iterable[str]) -> list[str]:
+        names = list(names)
+        for n in names:
+            if n not in declared:
+                raise UnknownNameError("parameter", n, declared)
+        return names
+
+    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(dict(values or {}))
+    held = set(known(fixed))
+    chosen = (
+        [d.name for d in dynamics.parameters if d.sigma > 0 and d.name not in held]
+        if free is None
+        else [d.name for d in dynamics.parameters if d.name in set(known(free)) - held]
+    )
+    own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(per_flight))
+    own -= set(known(shared))
+    dt = sample_time(dataset)
+    engine = engine_for(dynamics, tuple(chosen), use_compiler=use_compiler)
+    records = make_records(engine, dataset)
+    flights = tuple(f.name for f in dataset.flights)
+    priors, flight_priors = dict(priors or {}), dict(flight_priors or {})
+    unknowns = [_declared(declared[n], values[n], None, priors.get(n)) for n in chosen if n not in own]
+    noise = dict(noise or {})
+    process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
+    for names, levels, prefix, units, spread in (
+        (dynamics.noises.names, process, "noise.process.", dynamics.noises.units, 3.0),
+        (dynamics.innovations.names, sensor, "noise.sensor.", dynamics.innovations.units, 2.0),
+    ):
+        for i, n in enumerate(names):
+            levels[i] = noise.get(prefix + n, levels[i])
+            if not levels[i] > 0:
+                raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
+            if estimate_noise and predictor.has_noise:
+                c = float(np.log(levels[i]))
+                unknowns.append(
+                    Unknown(
+                        name=prefix + n, kind="noise", flight=None, start=c, lower=c - 12, upper=c + 8, mean=c,
+                        sigma=spread, scale=1.0, unit=units[i],
+                    )
+                )  # fmt: skip
+    for f in flights:
+        unknowns += [
+            _declared(declared[n], values[n], f, flight_priors.get(n, priors.get(n))) for n in chosen if n in own
+        ]
+    if estimate_initial:
+        for k, r in enumerate(records):
+            unknowns += [
+                Unknown(
+                    name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
+                    sigma=float(s), scale=float(s), unit=u,
+                )
+                for n, u, s in zip(dynamics.error_states.names, dynamics.error_states.units, r.x0_sigma, strict=True)
+            ]  # fmt: skip
+    return Problem(
+        dynamics=dynamics, engine=engine, predictor=predictor, criterion=criterion, records=records,
+        unknowns=tuple(unknowns), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
+        means=channel_means(dataset), flights=flights,
+        state={"process_level": process, "sensor_level": sensor, "estimate_initial": estimate_initial},
+    )  # fmt: skip
+
+
+def _declared(d: Parameter, value: float, flight: str | None, prior: tuple[float, float] | None) -> Unknown:
+    mean, sigma = prior if prior is not None else (d.nominal, d.sigma)
+    start = min(max(value, d.lower), d.upper)
+    return Unknown(
+        name=d.name, kind="parameter", flight=flight, start=start, lower=d.lower, upper=d.upper, mean=mean,
+        sigma=sigma if sigma > 0 else np.inf, scale=d.scale, unit=d.unit,
+    )  # fmt: skip

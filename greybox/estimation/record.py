@@ -1,0 +1,119 @@
+"""Record: one unbroken segment in the shape that the engine wants, with its patterns of missing channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data import Dataset, Segment
+from greybox.errors import DataError
+from greybox.estimation.engine import Engine, IntArray
+from greybox.model.dynamics import Dynamics
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Record:
+    """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there, `pattern` (n,) which."""
+
+    flight: str
+    segment: Segment
+    inputs: FloatArray  # padded, (n + past + future, n_u)
+    outputs: FloatArray  # (n, n_y), NaN = missing
+    mask: FloatArray  # (n, n_e)
+    pattern: IntArray  # (n,)
+    patterns: FloatArray  # (n_pat, n_e)
+    dt: float
+    x0: FloatArray  # start of the initial state
+    x0_sigma: FloatArray
+    held: int  # command cells that were missing and held from the sample before
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.outputs.shape[0]
+
+
+def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:
+    """Missing cells take the last value before them (the first value where nothing is before); how many there were."""
+    out = np.array(values, dtype=np.float64)
+    missing = ~np.isfinite(out)
+    count = int(missing.sum())
+    if count:
+        index = np.where(missing, 0, np.arange(out.shape[0])[:, None])
+        np.maximum.accumulate(index, axis=0, out=index)
+        out = np.take_along_axis(out, index, axis=0)
+        for j in range(out.shape[1]):
+            good = np.flatnonzero(np.isfinite(out[:, j]))
+            if good.size:
+                out[: good[0], j] = out[good[0], j]
+    return out, count
+
+
+def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) -> Record:
+    """Arrays of `segment` for the engine's model. Raises `DataError` where a command column is absent or empty."""
+    dynamics = engine.dynamics
+    for name in dynamics.inputs.names:
+        if name not in segment.channels and name not in segment.extra:
+            raise DataError(
+                f"no column {name}, which the model needs as input", where=f"flight {segment.flight}",
+                fix="name it in [columns] of the vehicle file, or leave out the effect that needs it",
+            )  # fmt: skip
+    u, held = hold_missing(segment.matrix(dynamics.inputs.names))
+    if not np.isfinite(u).all():
+        empty = [n for n, v in zip(dynamics.inputs.names, u.T, strict=True) if not np.isfinite(v).any()]
+        raise DataError(f"input column {', '.join(empty)} has no values", where=f"flight {segment.flight}")
+    y = segment.matrix(dynamics.outputs.names, missing_ok=True)
+    there = np.isfinite(y)
+    at = {n: i for i, n in enumerate(dynamics.outputs.names)}
+    mask = np.column_stack([there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns])
+    patterns, pattern = np.unique(mask, axis=0, return_inverse=True)
+    few = max(3, round(start_seconds / segment.dt))
+    start = {n: segment.channels[n][:few] for n in segment.channels}
+    start["t"] = segment.t[:few]
+    x0, sigma = dynamics.initial_state(start)
+    return Record(
+        flight=segment.flight, segment=segment, inputs=engine.padded_inputs(u), outputs=y,
+        mask=mask.astype(np.float64), pattern=pattern.ravel().astype(np.int32), patterns=patterns.astype(np.float64),
+        dt=segment.dt, x0=x0, x0_sigma=sigma, held=held,
+    )  # fmt: skip
+
+
+def make_records(engine: Engine, dataset: Dataset) -> list[Record]:
+    """Records of all segments, in the order of the data set. Raises `DataError` for a set without samples."""
+    records = [make_record(engine, s) for f in dataset.flights for s in f.segments]
+    if not records:
+        raise DataError("no flight in the data set")
+    if not any(r.mask.any() for r in records):
+        raise DataError(
+            "no measured sample of any output", expected=", ".join(engine.dynamics.outputs.names),
+            fix="check the column names of the log",
+        )  # fmt: skip
+    return records
+
+
+def channel_means(dataset: Dataset) -> dict[str, float]:
+    """Mean of every channel over all flights (missing cells left out)."""
+    sums: dict[str, list[float]] = {}
+    for f in dataset.flights:
+        for s in f.segments:
+            for n, v in s.channels.items():
+                good = v[np.isfinite(v)]
+                if good.size:
+                    total = sums.setdefault(n, [0.0, 0.0])
+                    total[0] += float(good.sum())
+                    total[1] += good.size
+    return {n: a / b for n, (a, b) in sums.items()}
+
+
+def sample_time(dataset: Dataset, dynamics: Dynamics | None = None) -> float:
+    """The one sample time of all flights [s]. Raises `DataError` where they differ."""
+    steps = sorted({f.dt for f in dataset.flights})
+    if not steps:
+        raise DataError("no flight in the data set")
+    if steps[-1] - steps[0] > 1e-6 * steps[0]:
+        raise DataError(
+            f"flights with different sample times {', '.join(f'{s:g}' for s in steps)} s", fix="read them with one rate"
+        )
+    return steps[0]

@@ -1,0 +1,56 @@
+"""Status of a fit: an enum whose members are advice."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+
+class Code(enum.Enum):
+    """How a solver ended. The value is what to tell the user."""
+
+    CONVERGED = "Converged: the gradient vanishes to far below one standard error of every estimate."
+    MAX_ITERATIONS = (
+        "NOT converged: the iteration limit was reached. Give better start values or --max-iterations, or fix parameters "
+        "that the data cannot identify."
+    )
+    NO_PROGRESS = (
+        "NOT converged: no step lowers the cost although the gradient does not vanish. The model may be discontinuous "
+        "here or the data contain outliers: look at the innovations, try the robust criterion or other start values."
+    )
+    INVALID_START = (
+        "NOT converged: the model gives no finite prediction at the start values. Check units and the vehicle file."
+    )
+    INTERRUPTED = "NOT converged: interrupted; the values are the best so far."
+    SOLVER_FAILED = "NOT converged: the solver gave up. Try levenberg-marquardt, or other start values."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status:
+    """How a fit ended. `decrement` is the decrease of the cost that one more full step promises."""
+
+    code: Code
+    iterations: int
+    evaluations: int
+    decrement: float
+    seconds: float = 0.0
+    detail: str = ""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self.code is Code.CONVERGED
+
+    @property
+    def advice(self) -> str:
+        """One or two sentences for the user."""
+        return self.code.value + (f" ({self.detail})" if self.detail else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for fit.json."""
+        return {
+            "converged": self.converged, "code": self.code.name.lower(), "advice": self.advice,
+            "iterations": self.iterations, "evaluations": self.evaluations, "decrement": self.decrement,
+            "seconds": self.seconds,
+        }  # fmt: skip

@@ -1,0 +1,129 @@
+"""Effect: one physical equation that may be missing from the core model, its parameters, and what it needs.
+
+An effect lives in exactly one stage. How effects of one stage combine is fixed by the stage (see `SLOTS`), never by the
+order in which they are listed, and every effect is the identity at its null parameters: removal is exact and every
+smaller model is nested. A new effect is one small file plus one line in the catalogue tuple.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr
+
+Stage = Literal["command", "rotor", "thrust", "body", "wrench", "sensor"]
+
+SLOTS: Mapping[str, frozenset[str]] = {
+    "command": frozenset({"delay", "command"}),
+    "rotor": frozenset({"steady_factor", "lag"}),
+    "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
+    "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
+    "wrench": frozenset({"force", "moment", "hub_force"}),
+    "sensor": frozenset({"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed"}),
+}
+"""What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
+at most one lag (tau_up, tau_down) [s]; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
+multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs;
+sensor: the value replaces the measured one, in the order of `Effect.order`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """All signals that an effect may look at, at one instant. Vectors in body axes (FLU) unless the name says world.
+
+    Fields that the stage at hand does not know yet are None (a command effect sees no thrust).
+    """
+
+    vehicle: Any
+    command: Expr = None  # u (n), after earlier members of the chain
+    nu: Expr = None  # normalised rotor speed (n)
+    nu_rate: Expr = None  # d nu / dt [1/s] (n)
+    rotor_speed: Expr = None  # Omega_i = speed_max nu_i [rad/s] (n); per unit nu where speed_max is unknown
+    thrust: Expr = None  # baseline thrust T_i [N] (n)
+    vbat: Expr = None  # battery voltage [V]
+    velocity: Expr = None  # ground velocity of the centre of mass, body axes [m/s]
+    velocity_world: Expr = None  # the same in world axes [m/s]
+    wind: Expr = None  # wind velocity, body axes [m/s]
+    omega: Expr = None  # body rate [rad/s]
+    angular_acceleration: Expr = None  # d omega / dt [rad/s^2]
+    rotation: Expr = None  # R, body to world (3 x 3)
+    quaternion: Expr = None  # (w, x, y, z), body to world
+    position: Expr = None  # of the centre of mass, world [m]
+    center_of_mass: Expr = None  # from the body origin, body axes [m]
+    arms: Expr = None  # r_i, hub positions from the centre of mass (3 x n) [m]
+    mass: Expr = None  # [kg]
+    measured: Any = None  # sensor name -> value after earlier members of the chain
+
+    def airspeed(self, i: int) -> Expr:
+        """v_a,i = R^T (v - w) + omega x r_i, airspeed of hub i in body axes [m/s]."""
+        import casadi as ca
+
+        return self.velocity - self.wind + ca.cross(self.omega, self.arms[:, i])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceCase:
+    """Numbers worked by hand: at these parameters and signals the effect must return `expected` (per slot).
+
+    `working` shows the arithmetic, so that a reader can repeat it without running code.
+    """
+
+    parameters: Mapping[str, float]
+    flow: Mapping[str, Any]
+    expected: Mapping[str, Any]
+    working: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What must be known for the effect to be in a model: input columns, vehicle facts, other effects."""
+
+    columns: tuple[str, ...] = ()
+    vehicle: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = field(default=())
+
+
+class Effect(ABC):
+    """Base of all effects: declarations as class attributes, the formula in `apply`."""
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    summary: ClassVar[str]
+    formula: ClassVar[str]
+    references: ClassVar[tuple[str, ...]]
+    validity: ClassVar[str]
+    tags: ClassVar[frozenset[str]] = frozenset()
+    needs: ClassVar[Needs] = Needs()
+    order: ClassVar[int] = 0
+    case: ClassVar[ReferenceCase]
+
+    @abstractmethod
+    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+        """Declarations, named without the effect's prefix."""
+
+    @abstractmethod
+    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
+        """The formula: slots of the stage -> expressions. `p` holds the effect's own parameters by short name."""
+
+    def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
+        """Further named numbers that follow from the parameters (reported with error bars, never fitted)."""
+        return {}
+
+    def __repr__(self) -> str:
+        return f"<effect {self.name}>"
+
+
+def vector_parameters(
+    prefix: str, axes: str, *, unit: str, scale: float, meaning: str, **declaration: Any
+) -> tuple[Parameter, ...]:
+    """One parameter per letter of `axes`, named prefix + letter, all declared alike with null and nominal 0."""
+    return tuple(
+        Parameter(
+            name=f"{prefix}{a}", unit=unit, nominal=0.0, null=0.0, scale=scale, meaning=f"{meaning}, {a}", **declaration
+        )
+        for a in axes
+    )

@@ -1,0 +1,36 @@
+"""command_delay: the command acts d seconds after it was logged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from greybox.model.effect import Effect, Flow, ReferenceCase
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr
+
+
+class CommandDelay(Effect):
+    """u_eff(t) = u(t - d), by interpolation of the record; slope at the null -du/dt."""
+
+    name = "command_delay"
+    stage = "command"
+    summary = "transport delay between the logged command and the motors"
+    formula = "u_eff(t) = u(t - d)"
+    references = ("Ljung 1999, System Identification: Theory for the User, sec. 4.2 (input delay)",)
+    validity = "0 .. the model's longest delay; the mean of the held command over the step is exact"
+    case = ReferenceCase(
+        parameters={"d": 0.02}, flow={}, expected={"delay": 0.02}, working="the delay is the parameter itself"
+    )
+
+    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+        """The delay d [s]."""
+        return (
+            Parameter(
+                name="d", unit="s", nominal=0.0, lower=0.0, upper=0.1, null=0.0, scale=0.01, meaning="command delay"
+            ),
+        )
+
+    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
+        """Delays of the command stage add."""
+        return {"delay": p["d"]}

@@ -1,0 +1,40 @@
+"""gyro_bias: a constant offset of the gyro."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr
+
+
+class GyroBias(Effect):
+    """omega_meas = omega + b, constant during a flight."""
+
+    name = "gyro_bias"
+    stage = "sensor"
+    summary = "constant offset of the gyro"
+    formula = "omega_meas = omega + b"
+    references = ("Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",)
+    validity = "constant over a flight"
+    tags = frozenset({"linear-in-parameters"})
+    needs = Needs(sensors=("gyro",))
+    order = 40
+    case = ReferenceCase(
+        parameters={"b_x": 0.01, "b_y": -0.02, "b_z": 0.03},
+        flow={"measured": (0.5, 1.0, -2.0)},
+        expected={"gyro": (0.51, 0.98, -1.97)},
+        working="0.5 + 0.01, 1.0 - 0.02, -2.0 + 0.03",
+    )
+
+    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+        """b_x, b_y, b_z [rad/s]; scope flight."""
+        return vector_parameters("b_", "xyz", unit="rad/s", scale=0.01, meaning="gyro bias", scope="flight")
+
+    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
+        """Added after misalignment and scale."""
+        return {"gyro": flow.measured["gyro"] + ca.vertcat(p["b_x"], p["b_y"], p["b_z"])}

@@ -1,0 +1,663 @@
+"""PhysicsModel: rigid body with n rotors plus named effects plus sensors, as CasADi expressions (one `Dynamics`).
+
+The whole of the staged physics stands in this one file, because it is one derivation: command -> rotor -> thrust -> body
+-> wrench -> rigid body -> sensors. Newton-Euler equations of the centre of mass, quaternion attitude:
+
+    dp/dt = v,   m dv/dt = R(q) F - m g e_z,   dq/dt = q * (0, omega)/2,   J domega/dt = M - omega x J omega
+    F = sum_i T_i e_z + effects,   M = sum_i (r_i x T_i e_z - s_i Q_i e_z) + effects,   T_i, Q_i = c0 + c1 nu + c2 nu^2
+
+(Mahony, Kumar and Corke 2012, IEEE RAM 19(3), eq. 1-4; Stevens, Lewis and Johnson 2015, ch. 1.)
+
+Error state: position and velocity errors in body axes (p = p_hat + R_hat dp), attitude error q = q_hat * exp(dtheta/2).
+In these coordinates the linearisation depends on neither position nor heading, so that one stationary gain serves a
+whole flight (Bonnabel, Martin and Salaun 2009, Invariant extended Kalman filter: theory and application, CDC).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.frames import quat_derivative, quat_difference, quat_exp, quat_multiply, quat_normalize, rotation_matrix
+from greybox.model.effect import SLOTS, Effect, Flow
+from greybox.model.effects import effect_by_name
+from greybox.model.parameter import Parameter
+from greybox.model.sensor import Sensor
+from greybox.model.sensors import SENSORS
+from greybox.model.vehicle import Vehicle
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
+
+BLOCKS: Mapping[str, tuple[str, str, int, int]] = {
+    "position": ("xyz", "m", 3, 3),
+    "velocity": ("xyz", "m/s", 3, 3),
+    "attitude": ("wxyz", "-", 4, 3),
+    "rate": ("xyz", "rad/s", 3, 3),
+}
+"""State blocks of the rigid body: letters, unit, raw size, error size. Rotor states follow where there is a lag."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsModel:
+    """Newton-Euler multirotor of `vehicle` with `effects` and the sensors named in `sensors`.
+
+    `input`: "command" (u1..un) or "speed" (measured rotor speeds omega1..omegan drive the rotors; needs speed_max).
+    `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that no sensor can feel, directly
+    or through other states, are left out (an IMU-only log has no position). Raises `ModelError`, `UnknownNameError`.
+    """
+
+    vehicle: Vehicle
+    effects: tuple[Effect, ...] = ()
+    sensors: tuple[Sensor, ...] = SENSORS[:5]
+    input: Literal["command", "speed"] = "command"
+    sample_time: float = 0.01
+
+    def __post_init__(self) -> None:
+        names = [e.name for e in self.effects]
+        double = sorted({n for n in names if names.count(n) > 1})
+        if double:
+            raise ModelError(f"effect given twice: {', '.join(double)}")
+        if not self.sensors:
+            raise ModelError(
+                "no sensor: the log has no complete group of measured columns", fix="log the gyro: p, q, r"
+            )
+        if self.input == "speed":
+            if self.vehicle.actuator.speed_max is None:
+                raise ModelError("--input speed needs actuator.speed_max in the vehicle file", fix="add speed_max")
+            if any(s.name == "rotor_speed" for s in self.sensors):
+                raise ModelError(
+                    "rotor speed cannot be input and output at once", fix="leave rotor_speed out of sensors"
+                )
+            for e in self.effects:
+                if e.stage in ("command", "rotor"):
+                    raise ModelError(f"effect {e.name} shapes the command, which --input speed does not use")
+        for e in self.effects:
+            for fact in e.needs.vehicle:
+                if getattr(self.vehicle, fact, None) is None:
+                    raise ModelError(f"effect {e.name} needs {fact} in the vehicle file", fix=f"add {fact}")
+            have = {s.name for s in self.sensors}
+            if e.needs.sensors and not have & set(e.needs.sensors):
+                raise ModelError(f"effect {e.name} needs a sensor that the log lacks: {' or '.join(e.needs.sensors)}")
+        if sum("lag" in SLOTS["rotor"] and e.name == "motor_lag" for e in self.effects) > 1:
+            raise ModelError("at most one rotor lag")
+        ordered = tuple(sorted(self.effects, key=lambda e: (list(SLOTS).index(e.stage), e.order, e.name)))
+        object.__setattr__(self, "effects", ordered)
+
+    # ---------------------------------------------------------------- composition
+
+    @property
+    def name(self) -> str:
+        """Vehicle name and effects."""
+        return f"{self.vehicle.name} + {', '.join(e.name for e in self.effects) or 'no effects'}"
+
+    def with_effect(self, *names: str | Effect) -> PhysicsModel:
+        """The model with further effects, by catalogue name or as objects."""
+        added = tuple(effect_by_name(n) if isinstance(n, str) else n for n in names)
+        return replace(self, effects=(*self.effects, *added))
+
+    def without_effect(self, *names: str) -> PhysicsModel:
+        """The model without the named effects. Raises `ModelError` for one that is not there."""
+        have = {e.name for e in self.effects}
+        for n in names:
+            if n not in have:
+                raise ModelError(f"the model has no effect '{n}'", expected=f"one of {', '.join(sorted(have))}")
+        return replace(self, effects=tuple(e for e in self.effects if e.name not in names))
+
+    @property
+    def omega_known(self) -> bool:
+        """Whether rotor speeds are in rad/s (speed_max known) or per unit nu."""
+        return self.vehicle.actuator.speed_max is not None
+
+    # ---------------------------------------------------------------- layouts
+
+    @cached_property
+    def _n(self) -> int:
+        return len(self.vehicle.rotors)
+
+    @cached_property
+    def _has_lag(self) -> bool:
+        return any(e.name == "motor_lag" for e in self.effects)
+
+    @cached_property
+    def _needs_vbat(self) -> bool:
+        return any("vbat" in e.needs.columns for e in self.effects)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Core parameters of the vehicle, then those of the effects as effect.parameter."""
+        known = self.vehicle.effects
+        out = list(core_parameters(self.vehicle))
+        for e in self.effects:
+            stated = known.get(e.name, {})
+            declared = e.parameters(self.vehicle)
+            for short in stated:
+                if short not in {d.name for d in declared}:
+                    from greybox.errors import UnknownNameError
+
+                    raise UnknownNameError(f"parameter of effect {e.name}", short, (d.name for d in declared))
+            for d in declared:
+                given = stated.get(d.name)
+                out.append(
+                    replace(d, name=f"{e.name}.{d.name}")
+                    if given is None
+                    else replace(d, name=f"{e.name}.{d.name}", nominal=given.value, sigma=given.sigma)
+                )
+        return tuple(out)
+
+    @cached_property
+    def inputs(self) -> Layout:
+        """u1..un (or omega1..omegan), then vbat where an effect needs it."""
+        if self.input == "command":
+            rows = [Signal(name=f"u{i + 1}", unit="-", meaning="command") for i in range(self._n)]
+        else:
+            rows = [Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed") for i in range(self._n)]
+        if self._needs_vbat:
+            rows.append(Signal(name="vbat", unit="V", meaning="battery voltage"))
+        return Layout(rows)
+
+    @cached_property
+    def outputs(self) -> Layout:
+        """Columns of all sensors in order."""
+        return Layout([s for sensor in self.sensors for s in sensor.signals(self.vehicle)])
+
+    @cached_property
+    def innovations(self) -> Layout:
+        """Innovation components of all sensors in order."""
+        return Layout([s for sensor in self.sensors for s in sensor.innovation_signals(self.vehicle)])
+
+    @cached_property
+    def innovation_columns(self) -> tuple[tuple[str, ...], ...]:
+        """A sensor's components need all of its columns where they are turned into body axes, else just their own."""
+        rows: list[tuple[str, ...]] = []
+        for sensor in self.sensors:
+            columns = tuple(s.name for s in sensor.signals(self.vehicle))
+            own = tuple(s.name for s in sensor.innovation_signals(self.vehicle))
+            rows += [(c,) for c in columns] if columns == own else [columns] * len(own)
+        return tuple(rows)
+
+    @cached_property
+    def channel_groups(self) -> tuple[str, ...]:
+        """Channel group of every innovation component."""
+        return tuple(s.group for s in self.sensors for _ in s.innovation_signals(self.vehicle))
+
+    @cached_property
+    def noises(self) -> Layout:
+        """Force noise [N] and torque noise [N m] in body axes (torque alone where the log feels no force)."""
+        rows = []
+        if "velocity" in self._kept or any(s.name == "accelerometer" for s in self.sensors):
+            rows += [Signal(name=f"force.{a}", unit="N", meaning="force noise, body") for a in "xyz"]
+        rows += [Signal(name=f"torque.{a}", unit="N m", meaning="torque noise, body") for a in "xyz"]
+        return Layout(rows)
+
+    @cached_property
+    def _kept(self) -> tuple[str, ...]:
+        """State blocks that some sensor feels, directly or through other states (structural observability)."""
+        x = {b: ca.SX.sym(b, BLOCKS[b][2]) for b in BLOCKS}
+        nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
+        p, w = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("w", 6)
+        sf, alpha, flow = self._rigid_body(x, nu, nu * 0, u, p, w)
+        rates = {
+            "position": x["velocity"],
+            "velocity": flow.rotation @ sf,
+            "attitude": quat_derivative(x["attitude"], x["rate"]),
+            "rate": alpha,
+        }
+        # Gravity enters the velocity equation in body axes through the attitude.
+        rates["velocity"] = flow.rotation.T @ (rates["velocity"] + ca.vertcat(0, 0, -1)) + flow.velocity * 0
+        felt = self._measure(flow, sf, p)
+        kept: set[str] = set()
+        frontier = [felt]
+        while frontier:
+            expression = frontier.pop()
+            for b, symbol in x.items():
+                if b not in kept and ca.which_depends(expression, symbol, 1, True).count(True):
+                    kept.add(b)
+                    frontier.append(rates[b])
+        return tuple(b for b in BLOCKS if b in kept)
+
+    @cached_property
+    def states(self) -> Layout:
+        """Kept rigid-body blocks, then rotor.1..rotor.n where there is a lag."""
+        rows = [Signal(name=f"{b}.{a}", unit=BLOCKS[b][1], meaning=b) for b in self._kept for a in BLOCKS[b][0]]
+        if self._has_lag:
+            rows += [Signal(name=f"rotor.{i + 1}", unit="-", meaning="normalised rotor speed") for i in range(self._n)]
+        return Layout(rows)
+
+    @cached_property
+    def error_states(self) -> Layout:
+        """As `states`, the attitude with three components [rad]; position and velocity errors in body axes."""
+        rows = []
+        for b in self._kept:
+            unit = "rad" if b == "attitude" else BLOCKS[b][1]
+            rows += [Signal(name=f"d_{b}.{a}", unit=unit, meaning=f"{b} error, body axes") for a in "xyz"]
+        if self._has_lag:
+            rows += [Signal(name=f"d_rotor.{i + 1}", unit="-", meaning="rotor error") for i in range(self._n)]
+        return Layout(rows)
+
+    @cached_property
+    def window(self) -> tuple[int, int]:
+        """Earlier commands for the longest delay, one later command for a linear hold."""
+        past = 0
+        for e in self.effects:
+            for d in e.parameters(self.vehicle):
+                if e.name == "command_delay" and d.name == "d":
+                    past = max(past, math.ceil(d.upper / self.sample_time + 1e-9))
+        return past, int(self.vehicle.actuator.hold == "linear")
+
+    # ---------------------------------------------------------------- stages
+
+    def _values(self, p: Expr) -> dict[str, Expr]:
+        return {d.name: p[i] for i, d in enumerate(self.parameters)}
+
+    def _own(self, effect: Effect, values: Mapping[str, Expr]) -> dict[str, Expr]:
+        return {d.name: values[f"{effect.name}.{d.name}"] for d in effect.parameters(self.vehicle)}
+
+    def _stage(self, stage: str) -> Iterable[Effect]:
+        return (e for e in self.effects if e.stage == stage)
+
+    def _delay(self, values: Mapping[str, Expr]) -> Expr:
+        total: Expr = 0.0
+        for e in self._stage("command"):
+            total = total + e.apply(Flow(vehicle=self.vehicle), self._own(e, values)).get("delay", 0.0)
+        return total
+
+    def _held_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> tuple[Expr, Expr, Expr]:
+        """(u_a, u_b, s): the delayed record holds u_a over [t_k, t_k + s) and u_b over [t_k + s, t_k+1).
+
+        Exact for a held record. A record that runs linearly is shifted by half a sample more and its mean over the step
+        taken as both. Branches are closed to the left, so that the slope at d = 0 is the one-sided one.
+        """
+        past, future = self.window
+        if past == 0 and future == 0:
+            return window, window, 0.0
+        r = self._delay(values) / dt - 0.5 * future  # how many samples before t_k
+        older: Expr = 0.0
+        newer: Expr = 0.0
+        whole: Expr = 0.0
+        for m in range(-future, past):
+            there = ca.if_else(r >= m, 1.0, 0.0) if m > -future else 1.0
+            there = there * (ca.if_else(r < m + 1, 1.0, 0.0) if m < past - 1 else 1.0)
+            newer = newer + there * window[: self._n, past - m]
+            older = older + there * window[: self._n, past - m - 1]
+            whole = whole + there * m
+        share = r - whole
+        rest = window[self._n :, past]
+        if future:
+            mean = ca.vertcat(share * older + (1 - share) * newer, rest)
+            return mean, mean, 0.0
+        return ca.vertcat(older, rest), ca.vertcat(newer, rest), share * dt
+
+    def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
+        """nu_ss: command chain, then the product of the rotor stage's factors."""
+        vbat = u[self._n] if self._needs_vbat else None
+        command = u[: self._n]
+        if self.input == "speed":
+            return command / self.vehicle.actuator.speed_max
+        for e in self._stage("command"):
+            slots = e.apply(Flow(vehicle=self.vehicle, command=command, vbat=vbat), self._own(e, values))
+            command = slots.get("command", command)
+        nu = command
+        for e in self._stage("rotor"):
+            slots = e.apply(Flow(vehicle=self.vehicle, command=command, vbat=vbat), self._own(e, values))
+            nu = nu * slots.get("steady_factor", 1.0)
+        return nu
+
+    def _lag(self, values: Mapping[str, Expr]) -> Expr:
+        """Time constant, kept above 1 microsecond so that tau = 0 is the instantaneous rotor."""
+        for e in self._stage("rotor"):
+            slots = e.apply(Flow(vehicle=self.vehicle, vbat=1.0, command=0.0), self._own(e, values))
+            if "lag" in slots:
+                return ca.fmax(slots["lag"], 1e-6)
+        raise ModelError("the model has no rotor lag")
+
+    def _rigid_body(
+        self, x: Mapping[str, Expr], nu: Expr, nu_rate: Expr, u: Expr, p: Expr, w: Expr
+    ) -> tuple[Expr, Expr, Flow]:
+        """(specific force [m/s^2], angular acceleration [rad/s^2], flow) in body axes. w = (force, torque) noise."""
+        vehicle, values, n = self.vehicle, self._values(p), self._n
+        rotation = rotation_matrix(x["attitude"])
+        mass = values["mass"]
+        inertia = (
+            ca.SX(ca.DM(np.asarray(vehicle.inertia)))
+            if isinstance(mass, ca.SX)
+            else ca.MX(ca.DM(np.asarray(vehicle.inertia)))
+        )
+        for i, a in enumerate(("xx", "yy", "zz")):
+            inertia[i, i] = values[f"inertia.{a}"]
+        com = ca.vertcat(*(values[f"center_of_mass.{a}"] for a in "xyz"))
+        flow = Flow(vehicle=vehicle, vbat=u[n] if self._needs_vbat else None)
+        for e in self._stage("body"):
+            slots = e.apply(flow, self._own(e, values))
+            mass = mass * slots.get("mass_factor", 1.0)
+            inertia = inertia + slots.get("inertia_increment", 0.0)
+            com = com + slots.get("center_of_mass", 0.0)
+        arms = ca.horzcat(*(ca.DM(list(r.position)) - com for r in vehicle.rotors))
+        spin = [r.spin for r in vehicle.rotors]
+        thrust = _polynomial(nu, [values.get(f"thrust.c{k}", 0.0) for k in range(3)])
+        torque = _polynomial(nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
+        flow = replace(
+            flow, nu=nu, nu_rate=nu_rate, rotor_speed=vehicle.omega_scale * nu, thrust=thrust,
+            velocity=rotation.T @ x["velocity"], velocity_world=x["velocity"], wind=ca.DM.zeros(3), omega=x["rate"],
+            rotation=rotation, quaternion=x["attitude"], position=x["position"], arms=arms, mass=mass,
+            center_of_mass=com,
+        )  # fmt: skip
+        increment: Expr = 0.0
+        for e in self._stage("thrust"):
+            slots = e.apply(flow, self._own(e, values))
+            thrust = thrust * slots.get("thrust_factor", 1.0)
+            torque = torque * slots.get("torque_factor", 1.0)
+            increment = increment + slots.get("thrust_increment", 0.0)
+        thrust = thrust + increment
+        force = ca.vertcat(0, 0, ca.sum1(thrust)) + w[0:3]
+        moment = w[3:6] + ca.vertcat(
+            sum(arms[1, i] * thrust[i] for i in range(n)),
+            -sum(arms[0, i] * thrust[i] for i in range(n)),
+            -sum(spin[i] * torque[i] for i in range(n)),
+        )
+        for e in self._stage("wrench"):
+            slots = e.apply(flow, self._own(e, values))
+            force = force + slots.get("force", 0.0)
+            moment = moment + slots.get("moment", 0.0)
+            if "hub_force" in slots:
+                hub = slots["hub_force"]
+                force = force + ca.sum2(hub)
+                moment = moment + sum(ca.cross(arms[:, i], hub[:, i]) for i in range(n))
+        gyroscopic = ca.cross(x["rate"], inertia @ x["rate"])
+        diagonal = not any(e.stage == "body" and "inertia" in e.formula for e in self.effects) and _is_diagonal(vehicle)
+        if diagonal:
+            alpha = (moment - gyroscopic) / ca.diag(inertia)
+        else:
+            alpha = ca.inv(inertia) @ (moment - gyroscopic)
+        return force / mass, alpha, replace(flow, angular_acceleration=alpha)
+
+    def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> Expr:
+        values = self._values(p)
+        readings = {s.name: s.reading(flow, specific_force) for s in self.sensors}
+        for e in self._stage("sensor"):
+            slots = e.apply(replace(flow, measured=readings), self._own(e, values))
+            readings = {k: slots.get(k, v) for k, v in readings.items()}
+        return ca.vertcat(*(readings[s.name] for s in self.sensors))
+
+    # ---------------------------------------------------------------- vectors
+
+    def _split(self, x: Expr) -> tuple[dict[str, Expr], Expr]:
+        blocks: dict[str, Expr] = {}
+        at = 0
+        for b, (_, _, size, _) in BLOCKS.items():
+            if b in self._kept:
+                blocks[b] = x[at : at + size]
+                at += size
+            else:
+                blocks[b] = ca.DM([1, 0, 0, 0]) if b == "attitude" else ca.DM.zeros(3)
+        return blocks, x[at:]
+
+    def _join(self, blocks: Mapping[str, Expr], nu: Expr) -> Expr:
+        return ca.vertcat(*(blocks[b] for b in self._kept), *([nu] if self._has_lag else []))
+
+    def _noise(self, w: Expr) -> Expr:
+        return w if len(self.noises) == 6 else ca.vertcat(ca.DM.zeros(3), w)
+
+    def _gravity(self) -> Expr:
+        return ca.DM([0, 0, -self.vehicle.gravity])
+
+    def _derivative(
+        self, blocks: Mapping[str, Expr], nu: Expr, nu_rate: Expr, u: Expr, p: Expr, w: Expr
+    ) -> dict[str, Expr]:
+        sf, alpha, flow = self._rigid_body(blocks, nu, nu_rate, u, p, w)
+        return {
+            "position": blocks["velocity"],
+            "velocity": flow.rotation @ sf + self._gravity(),
+            "attitude": quat_derivative(blocks["attitude"], blocks["rate"]),
+            "rate": alpha,
+        }
+
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
+        """dx/dt at the command u (n_u)."""
+        blocks, nu = self._split(x)
+        values = self._values(p)
+        steady = self._steady_speed(u, values)
+        if self._has_lag:
+            nu_rate = (steady - nu) / self._lag(values)
+        else:
+            nu, nu_rate = steady, steady * 0
+        d = self._derivative(blocks, nu, nu_rate, u, p, ca.DM.zeros(6))
+        return self._join(d, nu_rate)
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
+        """Noise-free outputs at the command u (n_u)."""
+        return self._outputs(x, u, p, ca.DM.zeros(6))
+
+    def _outputs(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
+        blocks, nu = self._split(x)
+        values = self._values(p)
+        steady = self._steady_speed(u, values)
+        nu_rate = (steady - nu) / self._lag(values) if self._has_lag else steady * 0
+        sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
+        return self._measure(flow, sf, p)
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """One sample: rotors exactly, rigid body by Runge-Kutta 4, the quaternion brought back to unit length."""
+        blocks, nu = self._split(x)
+        values = self._values(p)
+        u_a, u_b, switch = self._held_command(window, values, dt)
+        w = self._noise(w)
+        first, second = self._steady_speed(u_a, values), self._steady_speed(u_b, values)
+        u = u_b
+        if self._has_lag:
+            tau = self._lag(values)
+            path, slope = _rotor_path(nu, first, second, switch, dt, tau)
+        else:
+            mean = first + (second - first) * (1 - switch / dt)
+            path, slope = [mean] * 3, [mean * 0] * 3
+
+        def moved(k: Mapping[str, Expr], step: Expr) -> dict[str, Expr]:
+            return {b: blocks[b] + step * k[b] for b in blocks}
+
+        k1 = self._derivative(blocks, path[0], slope[0], u, p, w)
+        k2 = self._derivative(moved(k1, dt / 2), path[1], slope[1], u, p, w)
+        k3 = self._derivative(moved(k2, dt / 2), path[1], slope[1], u, p, w)
+        k4 = self._derivative(moved(k3, dt), path[2], slope[2], u, p, w)
+        after = {b: blocks[b] + dt / 6 * (k1[b] + 2 * k2[b] + 2 * k3[b] + k4[b]) for b in blocks}
+        after["attitude"] = quat_normalize(after["attitude"])
+        return self._join(after, path[2])
+
+    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Outputs at the sample; the force noise of the coming step reaches the accelerometer."""
+        values = self._values(p)
+        u_a, u_b, switch = self._held_command(window, values, dt)
+        return self._outputs(x, u_a + (u_b - u_a) * (1 - switch / dt), p, self._noise(w))
+
+    def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
+        """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""
+        blocks, _ = self._split(x)
+        rotation = rotation_matrix(blocks["attitude"])
+        out, at = [], 0
+        for s in self.sensors:
+            size = len(s.signals(self.vehicle))
+            out.append(s.innovation(y[at : at + size], y_hat[at : at + size], rotation))
+            at += size
+        return ca.vertcat(*out)
+
+    def boxplus(self, x: Expr, d: Expr) -> Expr:
+        """p + R dp, v + R dv, q * exp(dtheta/2), the rest by addition."""
+        blocks, nu = self._split(x)
+        rotation = rotation_matrix(blocks["attitude"])
+        moved, at = {}, 0
+        for b in self._kept:
+            e = d[at : at + 3]
+            at += 3
+            if b == "attitude":
+                moved[b] = quat_multiply(blocks[b], quat_exp(e))
+            else:
+                moved[b] = blocks[b] + (e if b == "rate" else rotation @ e)
+        return self._join(moved, nu + d[at:])
+
+    def boxminus(self, x2: Expr, x1: Expr) -> Expr:
+        """The error state that carries x1 into x2."""
+        a, nu1 = self._split(x1)
+        b, nu2 = self._split(x2)
+        rotation = rotation_matrix(a["attitude"])
+        out = []
+        for k in self._kept:
+            if k == "attitude":
+                out.append(quat_difference(a[k], b[k]))
+            else:
+                out.append(b[k] - a[k] if k == "rate" else rotation.T @ (b[k] - a[k]))
+        return ca.vertcat(*out, *([nu2 - nu1] if self._has_lag else []))
+
+    def derived(self, p: Expr) -> dict[str, Expr]:
+        """Named numbers that follow from the parameters: effect.name -> expression in the vector p."""
+        values = self._values(p)
+        out: dict[str, Expr] = {}
+        for e in self.effects:
+            for k, v in e.derived(self._own(e, values), self.vehicle).items():
+                out[f"{e.name}.{k}"] = v
+        return out
+
+    # ---------------------------------------------------------------- start of a flight
+
+    def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """First measured values; level and at rest where nothing is measured; rotors at their command."""
+
+        def first(names: Sequence[str], default: Sequence[float]) -> tuple[FloatArray, bool]:
+            columns = [np.asarray(start.get(n, np.array([np.nan]))) for n in names]
+            rows = np.column_stack(columns) if len({c.size for c in columns}) == 1 else np.full((1, len(names)), np.nan)
+            good = rows[np.isfinite(rows).all(axis=1)]
+            return (good[0], True) if len(good) else (np.asarray(default, dtype=float), False)
+
+        values, sigma = [], []
+        t = np.asarray(start.get("t", np.array([0.0])))
+        defaults = {
+            "position": (("x", "y", "z"), (0, 0, 0), 0.01, 10.0),
+            "rate": (("p", "q", "r"), (0, 0, 0), 0.2, 1.0),
+        }
+        for b in self._kept:
+            if b == "attitude":
+                q, seen = first(("qw", "qx", "qy", "qz"), (1, 0, 0, 0))
+                values.append(q / np.linalg.norm(q))
+                sigma += [0.02 if seen else 0.3] * 3
+            elif b == "velocity":
+                v, seen = first(("vx", "vy", "vz"), (0, 0, 0))
+                spread = 0.1 if seen else 1.0
+                if not seen and t.size > 2:
+                    track = np.column_stack([np.asarray(start.get(a, np.full(t.size, np.nan))) for a in "xyz"])
+                    good = np.isfinite(track).all(axis=1)
+                    if good.sum() > 2:
+                        v = np.polyfit(t[good] - t[good][0], track[good], 1)[0]
+                        spread = 0.3
+                values.append(v)
+                sigma += [spread] * 3
+            else:
+                names, default, tight, wide = defaults[b]
+                v, seen = first(names, default)
+                values.append(v)
+                sigma += [tight if seen else wide] * 3
+        if self._has_lag:
+            u, _ = first(self.inputs.names[: self._n], [0.5] * self._n)
+            values.append(u)
+            sigma += [0.1] * self._n
+        return np.concatenate(values) if values else np.zeros(0), np.asarray(sigma)
+
+    def reference(self, means: Mapping[str, float]) -> FloatArray:
+        """Level and at rest at the origin, rotors at the mean command."""
+        blocks = {"position": [0.0] * 3, "velocity": [0.0] * 3, "attitude": [1.0, 0.0, 0.0, 0.0], "rate": [0.0] * 3}
+        out = [v for b in self._kept for v in blocks[b]]
+        if self._has_lag:
+            out += [means.get(n, 0.5) for n in self.inputs.names[: self._n]]
+        return np.asarray(out)
+
+    def noise_scale(self, dt: float) -> FloatArray:
+        """0.1 m/s^2 and 1 rad/s^2 of white acceleration per sample."""
+        force = 0.1 * self.vehicle.mass.value
+        torque = [1.0 * float(self.vehicle.inertia[i][i]) for i in range(3)]
+        return np.array(([force] * 3 if len(self.noises) == 6 else []) + torque)
+
+    def sensor_scale(self) -> FloatArray:
+        """The vehicle file's [noise], else values typical of small quadrotors."""
+        typical = {
+            "gyro": 0.02, "accelerometer": 0.1, "attitude": 0.003, "position": 0.001, "velocity": 0.02,
+            "rotor_speed": 0.01 * self.vehicle.omega_scale,
+        }  # fmt: skip
+        known = self.vehicle.noise
+        return np.array(
+            [known.get(s.name, typical[s.name]) for s in self.sensors for _ in s.innovation_signals(self.vehicle)]
+        )
+
+
+def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    """Declarations of mass, inertia, centre of mass, thrust and torque maps from the vehicle file.
+
+    A prior's bounds are four standard deviations to either side (positive quantities stay above a fifth of their
+    value), so that a large missing effect cannot drag them away.
+    """
+
+    def declare(
+        name: str, unit: str, value: float, sigma: float, meaning: str, *, positive: bool, size: float
+    ) -> Parameter:
+        lower, upper = -math.inf, math.inf
+        if sigma > 0 and math.isfinite(sigma):
+            lower, upper = value - 4 * sigma, value + 4 * sigma
+        if positive:
+            lower = max(lower, 0.2 * value)
+        scale = sigma if 0 < sigma < math.inf else (abs(value) or size)
+        return Parameter(
+            name=name, unit=unit, nominal=value, lower=lower, upper=upper, sigma=sigma, scale=scale, meaning=meaning
+        )
+
+    m = vehicle.mass
+    out = [declare("mass", "kg", m.value, m.sigma, "mass", positive=True, size=m.value)]
+    for i, a in enumerate(("xx", "yy", "zz")):
+        j = float(vehicle.inertia[i][i])
+        out.append(
+            declare(f"inertia.{a}", "kg m^2", j, float(vehicle.inertia_sigma[i]), f"moment of inertia {a}", positive=True, size=j)
+        )  # fmt: skip
+    for i, a in enumerate("xyz"):
+        c = vehicle.center_of_mass[i]
+        out.append(
+            declare(f"center_of_mass.{a}", "m", c.value, c.sigma, f"centre of mass {a}", positive=False, size=vehicle.arm_length)
+        )  # fmt: skip
+    for kind, unit, triple in (("thrust", "N", vehicle.actuator.thrust), ("torque", "N m", vehicle.actuator.torque)):
+        size = max(abs(q.value) for q in triple) or 1.0
+        for k, q in enumerate(triple):
+            out.append(
+                declare(f"{kind}.c{k}", unit, q.value, q.sigma, f"{kind} per rotor, power {k} of nu", positive=False, size=size)
+            )  # fmt: skip
+    return tuple(out)
+
+
+def sensors_for(columns: Iterable[str], vehicle: Vehicle, *, exclude: Iterable[str] = ()) -> tuple[Sensor, ...]:
+    """The sensors whose columns are all in `columns`, without those named in `exclude`."""
+    have, left_out = set(columns), set(exclude)
+    return tuple(s for s in SENSORS if s.name not in left_out and have.issuperset(x.name for x in s.signals(vehicle)))
+
+
+def _rotor_path(
+    nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, tau: Expr
+) -> tuple[list[Expr], list[Expr]]:
+    """(nu, dnu/dt) at 0, dt/2 and dt of a first-order lag whose goal changes from `first` to `second` at `switch`."""
+
+    def at(t: Expr) -> tuple[Expr, Expr]:
+        before = ca.if_else(t < switch, t, switch)
+        after = t - before
+        reached = first + (nu - first) * ca.exp(-before / tau)
+        value = second + (reached - second) * ca.exp(-after / tau)
+        goal = ca.if_else(t < switch, first, second)
+        return value, (goal - value) / tau
+
+    points = [at(t) for t in (0.0 * dt, 0.5 * dt, dt)]
+    return [v for v, _ in points], [r for _, r in points]
+
+
+def _polynomial(nu: Expr, c: Sequence[Expr]) -> Expr:
+    return c[0] + nu * (c[1] + nu * c[2])
+
+
+def _is_diagonal(vehicle: Any) -> bool:
+    j = np.asarray(vehicle.inertia)
+    return bool(np.allclose(j, np.diag(np.diag(j))))

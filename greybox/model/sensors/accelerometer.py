@@ -1,0 +1,36 @@
+"""Accelerometer: specific force at the IMU."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from greybox.model.effect import Flow
+from greybox.model.sensor import Sensor, axes
+from greybox.symbolic import Expr, Signal
+
+
+class Accelerometer(Sensor):
+    """ax, ay, az [m/s^2]: (F - m g)/m at the centre of mass plus the lever arm of the IMU.
+
+    a_imu = a_com + domega x r + omega x (omega x r), r from the centre of mass to the IMU.
+    """
+
+    name = "accelerometer"
+    group = "specific_force"
+    summary = "specific force at the IMU"
+
+    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """ax, ay, az."""
+        return axes("a", "xyz", "m/s^2", "specific force")
+
+    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """ax, ay, az."""
+        return self.signals(vehicle)
+
+    def reading(self, flow: Flow, specific_force: Expr) -> Expr:
+        """Specific force with lever arm."""
+        r = ca.DM(list(flow.vehicle.imu_position)) - flow.center_of_mass
+        omega = flow.omega
+        return specific_force + ca.cross(flow.angular_acceleration, r) + ca.cross(omega, ca.cross(omega, r))

@@ -1,0 +1,37 @@
+"""Attitude: unit quaternion, body to world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from greybox.frames import quat_conjugate, quat_multiply
+from greybox.model.effect import Flow
+from greybox.model.sensor import Sensor, axes
+from greybox.symbolic import Expr, Signal
+
+
+class Attitude(Sensor):
+    """qw, qx, qy, qz [-]. The innovation is delta_theta [rad] in body axes, q = q_hat * exp(delta_theta / 2)."""
+
+    name = "attitude"
+    group = "rotation"
+    summary = "attitude quaternion"
+
+    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """qw, qx, qy, qz."""
+        return axes("q", "wxyz", "-", "attitude quaternion, body to world")
+
+    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """attitude.x, attitude.y, attitude.z."""
+        return axes("attitude.", "xyz", "rad", "attitude innovation, body axes")
+
+    def reading(self, flow: Flow, specific_force: Expr) -> Expr:
+        """The attitude itself."""
+        return flow.quaternion
+
+    def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
+        """Rotation vector by the vector part, 2 sign(w) v: exact to third order and without a singularity at pi."""
+        d = quat_multiply(quat_conjugate(y_hat), y)
+        return ca.if_else(d[0] < 0, -2.0, 2.0) * d[1:4]

@@ -1,0 +1,31 @@
+"""Rotor speed: where a log has it, as a measured output."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from greybox.model.effect import Flow
+from greybox.model.sensor import Sensor
+from greybox.symbolic import Expr, Signal
+
+
+class RotorSpeed(Sensor):
+    """omega1 .. omegan [rad/s]: Omega_i = speed_max nu_i."""
+
+    name = "rotor_speed"
+    group = "rotor_speed"
+    summary = "speed of every rotor"
+
+    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """omega1 .. omegan."""
+        return tuple(
+            Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed") for i in range(len(vehicle.rotors))
+        )
+
+    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """omega1 .. omegan."""
+        return self.signals(vehicle)
+
+    def reading(self, flow: Flow, specific_force: Expr) -> Expr:
+        """Omega."""
+        return flow.rotor_speed

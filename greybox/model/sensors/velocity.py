@@ -1,0 +1,35 @@
+"""Velocity: of the body origin, world frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from greybox.model.effect import Flow
+from greybox.model.sensor import Sensor, axes
+from greybox.symbolic import Expr, Signal
+
+
+class Velocity(Sensor):
+    """vx, vy, vz [m/s] of the body origin, world axes. The innovation is turned into body axes."""
+
+    name = "velocity"
+    group = "velocity"
+    summary = "velocity of the body origin"
+
+    def signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """vx, vy, vz."""
+        return axes("v", "xyz", "m/s", "velocity, world")
+
+    def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
+        """velocity.x, velocity.y, velocity.z."""
+        return axes("velocity.", "xyz", "m/s", "velocity innovation, body axes")
+
+    def reading(self, flow: Flow, specific_force: Expr) -> Expr:
+        """v - R (omega x c), c the centre of mass from the body origin."""
+        return flow.velocity_world - flow.rotation @ ca.cross(flow.omega, flow.center_of_mass)
+
+    def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
+        """R^T (y - y_hat)."""
+        return rotation.T @ (y - y_hat)
