@@ -18,33 +18,6 @@ COLUMNS = [
     *("t", "u1", "u2", "u3", "u4", "vbat", "qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az"),
     *("x", "y", "z", "vx", "vy", "vz", "omega1", "omega2", "omega3", "omega4"),
 ]
-    "t",
-    "u1",
-    "u2",
-    "u3",
-    "u4",
-    "vbat",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "p",
-    "q",
-    "r",
-    "ax",
-    "ay",
-    "az",
-    "x",
-    "y",
-    "z",
-    "vx",
-    "vy",
-    "vz",
-    "omega1",
-    "omega2",
-    "omega3",
-    "omega4",
-]
 
 
 @pytest.fixture(scope="module")
