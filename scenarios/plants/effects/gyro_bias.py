@@ -15,10 +15,10 @@ class GyroBias(PlantEffect):
 
     name: ClassVar[str] = "gyro_bias"
     order: ClassVar[int] = 3
-    b_p: Number = 0.0
-    b_q: Number = 0.0
-    b_r: Number = 0.0
+    b_x: Number = 0.0
+    b_y: Number = 0.0
+    b_z: Number = 0.0
 
     def gyro(self, rates: Vector) -> Vector:
         """Reading with bias [rad/s]."""
-        return add(rates, (self.b_p, self.b_q, self.b_r))
+        return add(rates, (self.b_x, self.b_y, self.b_z))
