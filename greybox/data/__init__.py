@@ -2,6 +2,7 @@
 
 from greybox.data.channel import Channel, ColumnSpec, channel, group_names
 from greybox.data.dataset import Dataset, Flight, dataset_from_arrays
+from greybox.data.logs import RawLog, read_log, read_logs, read_table
 from greybox.data.segment import Segment
 
 __all__ = [
@@ -9,8 +10,12 @@ __all__ = [
     "ColumnSpec",
     "Dataset",
     "Flight",
+    "RawLog",
     "Segment",
     "channel",
     "dataset_from_arrays",
     "group_names",
+    "read_log",
+    "read_logs",
+    "read_table",
 ]

@@ -31,6 +31,10 @@ class CommandRange(Protocol):
     def u_max(self) -> float:
         """Highest command [-]."""
 
+    @property
+    def hold(self) -> str:
+        """How the command runs between samples: "previous" or "linear"."""
+
 
 class Airframe(Protocol):
     """A vehicle as the data package sees it."""

@@ -1,0 +1,248 @@
+"""Conditioning: from a raw log to segments on a uniform clock. Everything that is done is said in the flight's notes.
+
+A missing sample becomes missing cells (NaN); only commands are carried over it, because a command holds until the next
+one. A longer gap ends the segment.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.airborne import airborne
+from greybox.data.airframe import Airframe
+from greybox.data.channel import command_names, group_names
+from greybox.data.clock import Clock, backward_rows, read_clock
+from greybox.data.dataset import Flight
+from greybox.data.raw import RawLog
+from greybox.data.resampling import AVERAGE_FROM, averaged, continuous_signs, held, interpolated
+from greybox.data.segment import Segment
+from greybox.errors import DataError
+
+FloatArray = npt.NDArray[np.float64]
+Columns = dict[str, npt.NDArray[Any]]
+
+MAX_GAP = 0.1
+"""Longest stretch without samples inside a segment [s]."""
+
+SHORT = 20
+"""Segments of fewer samples are dropped where there is a longer one."""
+
+
+def condition(
+    raw: RawLog,
+    vehicle: Airframe | None = None,
+    *,
+    rate: float | None = None,
+    trim: bool = True,
+    max_gap: float = MAX_GAP,
+    where: str = "",
+) -> Flight:
+    """Turn a raw log into a flight of uniform segments; see `greybox.data.logs.read_log` for the options.
+
+    Raises `DataError` where time goes back or stands still, where no command is known anywhere, or for a bad `rate` or
+    `max_gap`.
+    """
+    where = where or raw.source
+    if rate is not None and not (np.isfinite(rate) and rate > 0):
+        raise DataError(f"rate {rate}", expected="a positive number of Hz", where=where)
+    if not max_gap > 0:
+        raise DataError(f"max_gap {max_gap}", expected="a positive number of seconds", where=where)
+    _demand_increasing(raw, where)
+    notes = list(raw.notes)
+    channels: dict[str, FloatArray] = dict(raw.channels)
+    notes += _mask_quaternions(channels)
+    keep = np.ones(raw.n, dtype=bool)
+    if trim:
+        keep, cuts = airborne(raw.t, channels, u_min=vehicle.actuator.u_min if vehicle else 0.0)
+        notes += cuts
+    clock = read_clock(raw.t, max_gap=max_gap)
+    linear_hold = vehicle is not None and vehicle.actuator.hold == "linear"
+    on_grid = clock.uniform and (rate is None or abs(rate * clock.dt - 1.0) < 1e-6)
+    dt = clock.dt if on_grid else 1.0 / (rate or _round_rate(clock.dt))
+    notes.append(_clock_note(clock, dt, on_grid))
+    pieces: list[Segment] = []
+    for start, stop in _stretches(clock, keep):
+        if stop - start < 2:
+            notes.append(f"dropped a single sample at t = {raw.t[start]:.3f} s")
+            continue
+        rows = slice(start, stop)
+        part = (raw.t[rows], {k: v[rows] for k, v in channels.items()}, {k: v[rows] for k, v in raw.extra.items()})
+        if on_grid:
+            pieces += _placed(part, clock.slots[rows], dt, raw.flight)
+        else:
+            pieces += _resampled(part, dt, clock.dt, raw.flight, linear_hold)
+    pieces, said = _with_commands(pieces, max_gap)
+    notes += said
+    return _flight(raw, pieces, notes, where)
+
+
+def _demand_increasing(raw: RawLog, where: str) -> None:
+    bad = backward_rows(raw.t)
+    if bad.size:
+        k = int(bad[0])
+        what = "the same time stamp twice" if raw.t[k] == raw.t[k - 1] else "time goes back"
+        raise DataError(
+            f"{what} ({raw.t[k - 1]:.6f} s, then {raw.t[k]:.6f} s; {bad.size} such row(s))",
+            where=f"{where}, row {raw.rows[k]}",
+            fix="sort the log or drop the repeated rows (`greybox check` lists them)",
+        )
+
+
+def _mask_quaternions(channels: dict[str, FloatArray]) -> list[str]:
+    names = group_names("attitude")
+    if not all(n in channels for n in names):
+        return []
+    norm = np.sqrt(sum(channels[n] ** 2 for n in names))
+    bad = np.abs(norm - 1.0) > 0.1
+    if not bad.any():
+        return []
+    for n in names:
+        channels[n] = np.where(bad, np.nan, channels[n])
+    return [f"attitude: {int(bad.sum())} row(s) whose quaternion is not of unit length taken as missing"]
+
+
+def _round_rate(dt: float) -> float:
+    return float(f"{1.0 / dt:.2g}")
+
+
+def _clock_note(clock: Clock, dt: float, on_grid: bool) -> str:
+    if on_grid:
+        return f"clock: uniform, {1 / dt:.6g} Hz, stamps moved by at most {clock.shift * 1e3:.3g} ms"
+    kind = "uniform" if clock.uniform else f"not uniform (steps vary by {100 * clock.jitter:.0f} %)"
+    if dt > AVERAGE_FROM * clock.dt:
+        how = "measurements averaged around each sample, commands averaged over the interval after it"
+    else:
+        how = "measurements interpolated linearly, commands held"
+    return f"clock: {kind}, {1 / clock.dt:.6g} Hz; resampled to {1 / dt:.6g} Hz, {how}"
+
+
+def _stretches(clock: Clock, keep: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(start, stop) rows of the kept stretches that no gap interrupts."""
+    out = []
+    for start, stop in clock.blocks:
+        mask = np.concatenate([[False], keep[start:stop], [False]]).astype(np.int8)
+        edges = np.flatnonzero(np.diff(mask)) + start
+        out += [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return out
+
+
+Part = tuple[FloatArray, dict[str, FloatArray], Columns]
+
+
+def _placed(part: Part, slots: npt.NDArray[np.int64], dt: float, flight: str) -> list[Segment]:
+    """Rows of a uniform clock on their grid slots; slots without a row are missing."""
+    t, channels, extra = part
+    slots = slots - slots[0]
+    n = int(slots[-1]) + 1
+    start = float(t[0]) + 0.5 * float((t - t[0] - dt * slots).min() + (t - t[0] - dt * slots).max())
+    start = float(t[0]) if abs(start - t[0]) < 0.05 * dt else start
+    columns = {k: _scatter(v, slots, n) for k, v in channels.items()}
+    others = {k: _scatter(v, slots, n) for k, v in extra.items()}
+    return [
+        Segment(
+            t=np.asarray(start + dt * np.arange(n), dtype=np.float64), channels=columns, flight=flight, extra=others
+        )
+    ]
+
+
+def _scatter(values: npt.NDArray[Any], slots: npt.NDArray[np.int64], n: int) -> npt.NDArray[Any]:
+    out = np.full(n, np.nan if values.dtype.kind == "f" else "", dtype=values.dtype)
+    out[slots] = values
+    return out
+
+
+def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: bool) -> list[Segment]:
+    """A stretch on a grid of `dt`; `step` is the log's own sample time."""
+    t, channels, extra = part
+    grid: FloatArray
+    n = int(np.floor((t[-1] - t[0]) / dt + 1e-9)) + 1
+    if n < 2:
+        return []
+    grid = t[0] + dt * np.arange(n)
+    attitude = group_names("attitude")
+    whole = all(k in channels for k in attitude)
+    source = dict(channels)
+    if whole:
+        smooth, _ = continuous_signs(np.stack([channels[k] for k in attitude], axis=1))
+        source.update({k: smooth[:, j] for j, k in enumerate(attitude)})
+    commands = set(command_names(channels))
+    out: dict[str, FloatArray] = {}
+    for name, values in source.items():
+        command = name in commands
+        sparse = np.isfinite(values).mean() < 0.5
+        if command and sparse:
+            out[name] = held(t, _last_known(values), grid)
+        elif dt > AVERAGE_FROM * step and not sparse:
+            out[name] = averaged(t, values, grid, step=step, ahead=command, linear=not command or linear_hold)
+        elif command and not linear_hold:
+            out[name] = held(t, values, grid)
+        else:
+            out[name] = interpolated(t, values, grid, step=step)
+    if whole:
+        norm = np.sqrt(sum(out[k] ** 2 for k in attitude))
+        out.update({k: out[k] / norm for k in attitude})
+    others = {k: held(t, v, grid) for k, v in extra.items()}
+    return [Segment(t=grid, channels=out, flight=flight, extra=others)]
+
+
+def _last_known(values: FloatArray) -> FloatArray:
+    known = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), -1))
+    return np.where(known >= 0, values[np.maximum(known, 0)], np.nan)
+
+
+def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment], list[str]]:
+    """Hold commands over at most `max_gap` [s]; break the segments where they stay unknown."""
+    out: list[Segment] = []
+    filled = lost = 0
+    for piece in pieces:
+        names = command_names(piece.names)
+        if not names:
+            out.append(piece)
+            continue
+        values = piece.matrix(names)
+        limit = max(round(max_gap / piece.dt), 1)
+        index = np.arange(piece.n)[:, None]
+        known = np.isfinite(values)
+        last = np.maximum.accumulate(np.where(known, index, -1), axis=0)
+        usable = (last >= 0) & (index - last <= limit)
+        carried = np.take_along_axis(values, np.maximum(last, 0), axis=0)
+        filled += int((usable & ~known).any(axis=1).sum())
+        good = usable.all(axis=1)
+        lost += int((~good).sum())
+        if (usable & ~known).any():
+            piece = piece.replace({n: np.where(usable[:, j], carried[:, j], np.nan) for j, n in enumerate(names)})
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            if b - a >= 2:
+                out.append(piece if (a, b) == (0, piece.n) else piece.rows(int(a), int(b)))
+            else:
+                lost += 1
+    notes = []
+    if filled:
+        notes.append(f"commands held over {filled} sample(s) without one; measurements there are missing")
+    if lost:
+        notes.append(f"dropped {lost} sample(s) whose command is not known")
+    return out, notes
+
+
+def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) -> Flight:
+    long = [p for p in pieces if p.n >= SHORT] or pieces
+    if not long:
+        raise DataError("no stretch of samples with known commands", where=where, fix="log all commands at every row")
+    if len(long) < len(pieces):
+        dropped = sum(p.n for p in pieces if p.n < SHORT)
+        notes.append(f"dropped {len(pieces) - len(long)} stretch(es) of fewer than {SHORT} samples ({dropped} in all)")
+    kept = sum(p.n for p in long)
+    missing = sum(int(np.isnan(p.matrix(p.names)).any(axis=1).sum()) for p in long)
+    notes.append(f"kept {kept} samples in {len(long)} segment(s), {missing} of them with missing cells")
+    return Flight(
+        name=raw.flight,
+        segments=tuple(long),
+        source=raw.source,
+        sha256=raw.sha256,
+        notes=tuple(notes),
+        noncausal=raw.noncausal,
+    )

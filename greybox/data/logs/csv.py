@@ -1,0 +1,152 @@
+"""Reader of comma-separated logs, plain or gzip: header row, numbers, empty cell or nan = missing."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import os
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.logs.table import Table
+from greybox.errors import DataError
+
+_GZIP_MAGIC = b"\x1f\x8b"
+
+
+def read_csv(path: str | os.PathLike[str]) -> Table:
+    """Read a CSV file. Raises `DataError`, with file, row and column, where it is not one table of a header and rows.
+
+    A file is read as gzip when it begins like one, whatever its name.
+    """
+    where = str(path)
+    content, digest = _content(path, where)
+    text = _text(content, where)
+    lines = text.splitlines()
+    numbers = [i for i, line in enumerate(lines) if line.strip()]
+    if not numbers:
+        raise DataError("the file is empty", where=where, fix="export the log again, with a header row")
+    header = _header(lines[numbers[0]], where, numbers[0] + 1)
+    body = [lines[i] for i in numbers[1:]]
+    if not body:
+        raise DataError("a header but no rows", where=where, fix="export the log again")
+    rows = np.array(numbers[1:], dtype=np.int64) + 1
+    columns = _numeric(body, header)
+    if columns is None:
+        columns = _careful(body, header, rows, where)
+    return Table(columns=columns, rows=rows, source=Path(path).name, sha256=digest)
+
+
+def _content(path: str | os.PathLike[str], where: str) -> tuple[bytes, str]:
+    try:
+        content = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise DataError("no such log", where=where, fix="check the path") from None
+    except IsADirectoryError:
+        raise DataError("a folder, not a log", where=where, fix="name the log files in it") from None
+    except OSError as error:
+        raise DataError(f"cannot read: {error.strerror or error}", where=where, fix="check the permissions") from None
+    digest = hashlib.sha256(content).hexdigest()
+    packed = content.startswith(_GZIP_MAGIC)
+    if where.endswith(".gz") and not packed:
+        raise DataError("not a gzip file, in spite of its name", where=where, fix="rename it, or compress it again")
+    if packed:
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as error:
+            raise DataError(
+                f"the gzip file is damaged ({error})", where=where, fix="copy or compress the log again"
+            ) from None
+    return content, digest
+
+
+def _text(content: bytes, where: str) -> str:
+    try:
+        if b"\0" in content:
+            raise ValueError
+        return content.decode("utf-8-sig")
+    except ValueError:
+        raise DataError(
+            "not a text file", where=where, expected="a CSV file in UTF-8", fix="convert the log to CSV first"
+        ) from None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _header(line: str, where: str, row: int) -> list[str]:
+    cells = [c.strip() for c in next(csv.reader([line]))]
+    for delimiter, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        if line.count(delimiter) >= max(len(cells), 1):
+            raise DataError(
+                f"columns are separated by {name}", where=f"{where}, row {row}", fix="export the log with commas"
+            )
+    if len(cells) == 1 and len(cells[0].split()) > 1:
+        raise DataError(
+            "columns are separated by spaces", where=f"{where}, row {row}", fix="export the log with commas"
+        )
+    if all(_is_number(c) for c in cells):
+        raise DataError(
+            "no header row: the first row holds numbers", where=f"{where}, row {row}", fix="add the column names"
+        )
+    header = [c or f"unnamed{i + 1}" for i, c in enumerate(cells)]
+    double = sorted({c for c in header if header.count(c) > 1})
+    if double:
+        raise DataError(
+            f"column names given twice: {', '.join(double)}",
+            where=f"{where}, row {row}",
+            fix="rename or drop one of each",
+        )
+    return header
+
+
+def _numeric(body: list[str], header: list[str]) -> dict[str, npt.NDArray[Any]] | None:
+    """The fast path: every cell is a number. None where it is not."""
+    try:
+        values = np.loadtxt(body, delimiter=",", comments=None, quotechar='"', ndmin=2, dtype=np.float64)
+    except ValueError:
+        return None
+    if values.shape != (len(body), len(header)):
+        return None
+    return {name: np.ascontiguousarray(values[:, j]) for j, name in enumerate(header)}
+
+
+def _cells(body: list[str], width: int, rows: npt.NDArray[np.int64], where: str) -> Iterator[list[str]]:
+    for line, row in zip(body, rows, strict=True):
+        try:
+            cells = next(csv.reader([line], strict=True))
+        except csv.Error as error:
+            raise DataError(f"not a CSV row ({error})", where=f"{where}, row {row}", fix="close the quotes") from None
+        if len(cells) != width:
+            raise DataError(
+                f"{len(cells)} cells",
+                where=f"{where}, row {row}",
+                expected=f"{width}, as in the header",
+                fix="complete or delete that row (a log that was cut off ends so)",
+            )
+        yield [c.strip() for c in cells]
+
+
+def _careful(
+    body: list[str], header: list[str], rows: npt.NDArray[np.int64], where: str
+) -> dict[str, npt.NDArray[Any]]:
+    """The slow path: empty cells become NaN, a column with text stays text, a ragged row is an error."""
+    columns = zip(*_cells(body, len(header), rows, where), strict=True)
+    out: dict[str, npt.NDArray[Any]] = {}
+    for name, cells in zip(header, columns, strict=True):
+        try:
+            out[name] = np.array([c or "nan" for c in cells], dtype=np.float64)
+        except ValueError:
+            out[name] = np.array(cells, dtype=np.str_)
+    return out
