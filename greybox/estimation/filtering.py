@@ -1,0 +1,106 @@
+"""Run an identified model over data: predicted states, innovations with covariance, and open-loop rollouts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Segment
+from greybox.errors import FitError
+from greybox.estimation.engine import Engine, GainTable, engine_for
+from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.record import Record, make_record
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Filtered:
+    """One segment under the stationary filter. Arrays have the n samples first.
+
+    states (n, n_x): x_hat(k | k-1), from measurements up to k-1; innovations (n, n_e), zero where missing; outputs
+    (n, n_y): y_hat(k | k-1); covariance (n_pat, n_e, n_e) of the innovations per pattern; state_covariance (n_d, n_d).
+    """
+
+    record: Record
+    states: FloatArray
+    innovations: FloatArray
+    outputs: FloatArray
+    covariance: FloatArray
+    state_covariance: FloatArray
+    p: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """One standard deviation of every innovation, (n, n_e)."""
+        spread = np.sqrt(np.array([np.diag(s) for s in self.covariance]))
+        return spread[self.record.pattern]
+
+
+class Filter:
+    """The identified filter: stationary gain from the model's noise levels, linearised at its reference point."""
+
+    def __init__(self, model: IdentifiedModel, *, use_compiler: bool = True) -> None:
+        self.model = model
+        self.engine: Engine = engine_for(model.dynamics, (), use_compiler=use_compiler)
+        lin = Linearisation(model.dynamics, ())
+        past, future = model.dynamics.window
+        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
+        values = lin.values(model.reference_state, window, model.parameter_vector(), model.sample_time)
+        self.riccati: Riccati = stationary(values, model.process_noise**2, model.sensor_noise**2, model.weak**2)
+
+    def run(self, segment: Segment, p: FloatArray | None = None, x0: FloatArray | None = None) -> Filtered:
+        """Filter one segment with the parameter vector p (the flight's own values by default) from x0 (measured start).
+
+        Raises `FitError` where the prediction stops being finite, `DataError` for missing input columns.
+        """
+        record = make_record(self.engine, segment)
+        vector = self.model.flight_vector(segment.flight) if p is None else np.asarray(p, dtype=float)
+        parts = [self.riccati.gain(m) for m in record.patterns]
+        gains = GainTable(
+            gain=np.array([v[0] for v in parts]),
+            zero=np.array([not m.any() for m in record.patterns], dtype=np.int32),
+        )
+        run = self.engine.run(
+            x0=record.x0 if x0 is None else x0,
+            inputs=record.inputs,
+            outputs=record.outputs,
+            mask=record.mask,
+            pattern=record.pattern,
+            gains=gains,
+            p=vector,
+            dt=record.dt,
+            want=frozenset({"innovations", "states", "outputs"}),
+        )
+        if run.failed_at is not None:
+            raise FitError(f"the prediction of flight {segment.flight} is not finite after sample {run.failed_at}")
+        if run.states is None or run.innovations is None or run.outputs is None:
+            raise FitError("the engine returned no arrays")
+        return Filtered(
+            record=record,
+            states=run.states,
+            innovations=run.innovations,
+            outputs=run.outputs,
+            covariance=np.array([v[1] for v in parts]),
+            state_covariance=self.riccati.P,
+            p=vector,
+        )
+
+    def rollout(
+        self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int, starts: FloatArray | None = None
+    ) -> FloatArray:
+        """Open-loop outputs (m, horizon, n_y) at k+1 .. k+horizon from every origin k, with the recorded commands.
+
+        The state at k+1 is x_hat(k+1 | k): measurements up to and including k. Every origin must have `horizon` samples
+        after it. `starts` (m, n_x) replaces those states (at row k+1).
+        """
+        rows = np.asarray(origins) + 1
+        if rows.size and rows.max() + horizon > filtered.record.n:
+            raise FitError("an origin has fewer samples after it than the horizon")
+        begin = filtered.states[rows] if starts is None else starts
+        outputs, _ = self.engine.rollout(
+            starts=begin, rows=rows, horizon=horizon, inputs=filtered.record.inputs, p=filtered.p, dt=filtered.record.dt
+        )
+        return outputs

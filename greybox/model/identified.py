@@ -1,0 +1,200 @@
+"""IdentifiedModel: what a fit leaves behind. Everything that validation, export and control need, and no raw data.
+
+On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings from which the CasADi
+expressions are rebuilt exactly, estimates with covariance, noise levels, training domain, data hash and a checksum.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import FileFormatError, ModelError
+from greybox.files import checksum, read_json, write_json
+from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
+from greybox.model.effects import effect_by_name
+from greybox.model.model import PhysicsModel
+from greybox.model.parameter import ParameterValues
+from greybox.model.sensors import SENSORS
+from greybox.model.vehicle import Vehicle
+from greybox.symbolic import FloatArray
+
+SCHEMA = "greybox.model/1"
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of greybox and of the libraries that shape a result."""
+    out = {}
+    for name in ("greybox", "casadi", "numpy", "scipy"):
+        try:
+            out[name] = version(name)
+        except PackageNotFoundError:
+            out[name] = "unknown"
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IdentifiedModel:
+    """A fitted Dynamics with estimates, their covariance and the noise levels of its filter.
+
+    `values` holds every model parameter (per-flight ones at their mean over the training flights), `per_flight` the
+    values of each training flight, `flight_spread` name -> (mean, standard deviation between flights). `covariance`
+    belongs to `covariance_names` (shared parameters). `process_noise` (n_w) and `sensor_noise` (n_e) are standard
+    deviations per sample of `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak`
+    (n_d) are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
+    """
+
+    dynamics: Dynamics
+    values: ParameterValues
+    covariance_names: tuple[str, ...] = ()
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    per_flight: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    flight_spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    process_noise: FloatArray
+    sensor_noise: FloatArray
+    weak: FloatArray
+    reference_state: FloatArray
+    reference_inputs: FloatArray
+    sample_time: float
+    domain: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    data_hash: str = ""
+    trained_on: tuple[str, ...] = ()
+    source: str = ""
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return self.dynamics.name
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects of a physics model."""
+        return tuple(e.name for e in getattr(self.physics, "effects", ()))
+
+    @cached_property
+    def physics(self) -> Any:
+        """The model without its disturbance states."""
+        return self.dynamics.inner if isinstance(self.dynamics, Disturbed) else self.dynamics
+
+    def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
+        """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
+        values = self.values.replace(dict(changes or {}))
+        return np.array([values[d.name] for d in self.dynamics.parameters])
+
+    def flight_vector(self, flight: str) -> FloatArray:
+        """p for a training flight (its own per-flight values), or the mean over flights for any other."""
+        return self.parameter_vector(self.per_flight.get(flight))
+
+    def with_values(self, changes: Mapping[str, float]) -> IdentifiedModel:
+        """A copy with some values changed."""
+        return replace(self, values=self.values.replace(changes))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values of the model file. Raises `ModelError` for a model that is not made of catalogue parts."""
+        physics = self.physics
+        if not isinstance(physics, PhysicsModel):
+            raise ModelError(
+                "only models made of catalogue parts can be saved",
+                got=type(physics).__name__,
+                fix="keep the Python code of a model of your own and save its values",
+            )
+        disturbed = self.dynamics if isinstance(self.dynamics, Disturbed) else None
+        body = {
+            "schema": SCHEMA,
+            "kind": "physics",
+            "name": self.name,
+            "vehicle": physics.vehicle.to_dict(),
+            "effects": [e.name for e in physics.effects],
+            "sensors": [s.name for s in physics.sensors],
+            "input": physics.input,
+            "model_sample_time": physics.sample_time,
+            "disturbance": list(disturbed.groups) if disturbed else [],
+            "disturbance_time_constant": disturbed.time_constant if disturbed else None,
+            "omega_known": physics.omega_known,
+            "sample_time": self.sample_time,
+            "values": dict(self.values),
+            "units": {d.name: d.unit for d in self.dynamics.parameters},
+            "covariance": {"names": list(self.covariance_names), "matrix": self.covariance.tolist()},
+            "per_flight": {k: dict(v) for k, v in self.per_flight.items()},
+            "flight_spread": {k: list(v) for k, v in self.flight_spread.items()},
+            "process_noise": dict(zip(self.dynamics.noises.names, self.process_noise.tolist(), strict=True)),
+            "sensor_noise": dict(zip(self.dynamics.innovations.names, self.sensor_noise.tolist(), strict=True)),
+            "weak": self.weak.tolist(),
+            "reference": {"state": self.reference_state.tolist(), "inputs": self.reference_inputs.tolist()},
+            "domain": {k: list(v) for k, v in self.domain.items()},
+            "data_hash": self.data_hash,
+            "trained_on": list(self.trained_on),
+            "versions": library_versions(),
+        }
+        return {**body, "checksum": checksum({k: v for k, v in body.items() if k != "versions"})}
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the model file atomically."""
+        return write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> IdentifiedModel:
+        """Read a model file. Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`."""
+        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path))
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any], *, where: str = "model") -> IdentifiedModel:
+        """Rebuild a model from the values of its file."""
+        if data.get("kind") != "physics":
+            raise FileFormatError("unknown kind of model", where=where, expected="physics", got=repr(data.get("kind")))
+        body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
+        if checksum(body) != data.get("checksum"):
+            raise FileFormatError(
+                "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
+            )
+        try:
+            vehicle = Vehicle.from_dict(data["vehicle"], where=where)
+            sensors = {s.name: s for s in SENSORS}
+            dynamics: Any = PhysicsModel(
+                vehicle=vehicle,
+                effects=tuple(effect_by_name(n) for n in data["effects"]),
+                sensors=tuple(sensors[n] for n in data["sensors"]),
+                input=data["input"],
+                sample_time=float(data["model_sample_time"]),
+            )
+            if data["disturbance"]:
+                dynamics = Disturbed(
+                    inner=dynamics,
+                    groups=tuple(data["disturbance"]),
+                    time_constant=float(data["disturbance_time_constant"]),
+                )
+            model = IdentifiedModel(
+                dynamics=dynamics,
+                values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(data["values"]),
+                covariance_names=tuple(data["covariance"]["names"]),
+                covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
+                    (len(data["covariance"]["names"]),) * 2
+                ),
+                per_flight=data["per_flight"],
+                flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
+                process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
+                sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
+                weak=np.asarray(data["weak"], dtype=float),
+                reference_state=np.asarray(data["reference"]["state"], dtype=float),
+                reference_inputs=np.asarray(data["reference"]["inputs"], dtype=float),
+                sample_time=float(data["sample_time"]),
+                domain={k: (float(v[0]), float(v[1])) for k, v in data["domain"].items()},
+                data_hash=str(data["data_hash"]),
+                trained_on=tuple(data["trained_on"]),
+                source=where,
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            if isinstance(error, (FileFormatError, ModelError)) or hasattr(error, "line"):
+                raise
+            raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
+        if model.weak.shape != (len(dynamics.error_states),):
+            raise FileFormatError("sizes do not fit", where=where, fix="write the file again")
+        return model
