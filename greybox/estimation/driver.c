@@ -22,15 +22,22 @@ extern int gb_inject(const REAL **arg, REAL **res, INT *iw, REAL *w, int mem);
 extern const INT *gb_inject_sparsity_out(INT i);
 extern int gb_inject_work(INT *sz_arg, INT *sz_res, INT *sz_iw, INT *sz_w);
 
+/* A sparsity is {rows, columns, column starts, rows of the entries}, or {rows, columns, 1} where it is dense. */
+static int is_dense(const INT *sp) { return sp[2] == 1; }
+
+static INT entries(const INT *sp) { return is_dense(sp) ? sp[0] * sp[1] : sp[2 + sp[1]]; }
+
 /* out (rows x n) += M (compressed columns) * in (cols x n) */
 static void sparse_dense(const INT *sp, const REAL *m, const REAL *in, REAL *out, int n) {
-  const INT ncol = sp[1];
+  const INT nrow = sp[0], ncol = sp[1];
   const INT *colind = sp + 2, *row = sp + 3 + ncol;
+  const int dense = is_dense(sp);
   for (INT c = 0; c < ncol; ++c) {
     const REAL *restrict src = in + c * n;
-    for (INT k = colind[c]; k < colind[c + 1]; ++k) {
+    const INT from = dense ? c * nrow : colind[c], to = dense ? from + nrow : colind[c + 1];
+    for (INT k = from; k < to; ++k) {
       const REAL a = m[k];
-      REAL *restrict dst = out + row[k] * n;
+      REAL *restrict dst = out + (dense ? k - from : row[k]) * n;
       for (int j = 0; j < n; ++j) dst[j] += a * src[j];
     }
   }
@@ -38,10 +45,13 @@ static void sparse_dense(const INT *sp, const REAL *m, const REAL *in, REAL *out
 
 /* out (rows x n), columns col0.. += M scattered (compressed columns, cols <= n - col0) */
 static void scatter(const INT *sp, const REAL *m, REAL *out, int n) {
-  const INT ncol = sp[1];
+  const INT nrow = sp[0], ncol = sp[1];
   const INT *colind = sp + 2, *row = sp + 3 + ncol;
-  for (INT c = 0; c < ncol; ++c)
-    for (INT k = colind[c]; k < colind[c + 1]; ++k) out[row[k] * n + c] += m[k];
+  const int dense = is_dense(sp);
+  for (INT c = 0; c < ncol; ++c) {
+    const INT from = dense ? c * nrow : colind[c], to = dense ? from + nrow : colind[c + 1];
+    for (INT k = from; k < to; ++k) out[(dense ? k - from : row[k]) * n + c] += m[k];
+  }
 }
 
 /* Sizes that the caller needs: number of pointers, integers and reals of work memory. */
@@ -75,9 +85,8 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL 
            REAL *buf) {
   const INT *spA = gb_lin_sparsity_out(2), *spB = gb_lin_sparsity_out(3), *spE = gb_lin_sparsity_out(4),
             *spH = gb_lin_sparsity_out(5), *sp1 = gb_inject_sparsity_out(1), *sp2 = gb_inject_sparsity_out(2);
-#define NNZ(sp) ((sp)[2 + (sp)[1]])
-  REAL *xF = buf, *e = xF + nx, *A = e + ne, *B = A + NNZ(spA), *E = B + NNZ(spB), *H = E + NNZ(spE),
-       *yh = H + NNZ(spH), *k = yh + ny, *J1 = k + nd, *J2 = J1 + NNZ(sp1), *xn = J2 + NNZ(sp2), *dE = xn + nx,
+  REAL *xF = buf, *e = xF + nx, *A = e + ne, *B = A + entries(spA), *E = B + entries(spB), *H = E + entries(spE),
+       *yh = H + entries(spH), *k = yh + ny, *J1 = k + nd, *J2 = J1 + entries(sp1), *xn = J2 + entries(sp2), *dE = xn + nx,
        *T = dE + ne * ns, *T2 = T + nd * ns, *Sn = T2 + nd * ns;
   for (int t = 0; t < n; ++t) {
     const REAL *m = M + (size_t)t * ne;
@@ -155,7 +164,7 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL 
 INT gb_buffer(int nx, int nd, int ne, int ny, int ns) {
   const INT *spA = gb_lin_sparsity_out(2), *spB = gb_lin_sparsity_out(3), *spE = gb_lin_sparsity_out(4),
             *spH = gb_lin_sparsity_out(5), *sp1 = gb_inject_sparsity_out(1), *sp2 = gb_inject_sparsity_out(2);
-  return 2 * nx + ne + ny + nd + NNZ(spA) + NNZ(spB) + NNZ(spE) + NNZ(spH) + NNZ(sp1) + NNZ(sp2) +
+  return 2 * nx + ne + ny + nd + entries(spA) + entries(spB) + entries(spE) + entries(spH) + entries(sp1) + entries(sp2) +
          (INT)ne * ns + 3 * (INT)nd * ns + 64;
 }
 
@@ -177,6 +186,27 @@ int gb_rollout(int m, int horizon, int nx, int ny, int nu, const REAL *x0, const
       if (Xout) memcpy(Xout + ((size_t)i * horizon + h) * nx, x, nx * sizeof(REAL));
       memcpy(x, xF, nx * sizeof(REAL));
     }
+  }
+  return 0;
+}
+
+/* Many short open-loop runs: window i starts at record row first[i] in state X[i] (m x nx, in/out: its end) with
+   sensitivity S[i] (m x nd x ns, in/out, or NULL) and runs length[i] samples without correction; innovations (and their
+   sensitivities) of its last tail[i] samples are appended to Eout (sum tail x ne) and Jout (sum tail x ne x ns, or NULL).
+   Etmp, Jtmp hold one window. Returns 0, or 1 + i where window i stops being finite. */
+int gb_windows(int m, const int *first, const int *length, const int *tail, int nx, int nd, int ne, int ny, int nu, int ns,
+               REAL *X, REAL *S, const REAL *U, const REAL *Y, const REAL *M, const REAL *p, REAL dt, REAL *Eout,
+               REAL *Jout, REAL *Etmp, REAL *Jtmp, const int *nopat, const int *one, const REAL **arg, REAL **res, INT *iw,
+               REAL *w, REAL *buf) {
+  size_t row = 0;
+  for (int i = 0; i < m; ++i) {
+    const size_t k = first[i], skip = length[i] - tail[i];
+    if (gb_run(length[i], nx, nd, ne, ny, nu, ns, X + (size_t)i * nx, S ? S + (size_t)i * nd * ns : 0, U + k * nu,
+               Y + k * ny, M + k * ne, nopat, p, dt, 0, one, 0, 0, Etmp, 0, S ? Jtmp : 0, 0, arg, res, iw, w, buf))
+      return 1 + i;
+    memcpy(Eout + row * ne, Etmp + skip * ne, tail[i] * ne * sizeof(REAL));
+    if (S) memcpy(Jout + row * ne * ns, Jtmp + skip * ne * ns, (size_t)tail[i] * ne * ns * sizeof(REAL));
+    row += tail[i];
   }
   return 0;
 }

@@ -54,6 +54,18 @@ class GainTable:
     derivative: FloatArray | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """What many short open-loop runs give: innovations (r, n_e) and their sensitivity (r, n_e, n_s) of the kept samples,
+    ends (m, n_x) and end_sensitivity (m, n_d, n_s); failed_in is the first window that stopped being finite."""
+
+    innovations: FloatArray
+    sensitivity: FloatArray | None
+    ends: FloatArray
+    end_sensitivity: FloatArray | None
+    failed_in: int | None
+
+
 def symbols(dynamics: Dynamics) -> dict[str, Expr]:
     """SX symbols x, U (n_u x window), p, w, dt, y of a Dynamics."""
     past, future = dynamics.window
@@ -244,6 +256,70 @@ class Engine:
             if not np.isfinite(x).all():
                 return 1 + t
         return 0
+
+    def windows(
+        self,
+        *,
+        starts: FloatArray,
+        rows: npt.NDArray[Any],
+        lengths: npt.NDArray[Any],
+        tails: npt.NDArray[Any],
+        inputs: FloatArray,
+        outputs: FloatArray,
+        mask: FloatArray,
+        p: FloatArray,
+        dt: float,
+        s0: FloatArray | None = None,
+    ) -> Windows:
+        """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the record's `rows` (m,).
+
+        The innovations of the last `tails` (m,) samples of each window are kept, in order. With `s0` (m, n_d, n_s) the
+        sensitivities run along as in `run`.
+        """
+        m, kept, longest = len(rows), int(np.sum(tails)), int(np.max(lengths))
+        ns = 0 if s0 is None else s0.shape[2]
+        x = np.array(starts, dtype=np.float64)
+        s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
+        y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
+        mask, u = np.ascontiguousarray(mask, dtype=np.float64), np.ascontiguousarray(inputs)
+        p = np.ascontiguousarray(p, dtype=np.float64)
+        e = np.zeros((kept, self.ne))
+        de = None if s is None else np.zeros((kept, self.ne, ns))
+        pattern, one = np.zeros(longest, dtype=np.int32), np.ones(1, dtype=np.int32)
+        bad = 0
+        if self.compiled:
+            arg, res, iw, w, buffer = self._scratch(ns)
+            first, length, tail = (np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails))
+            e_one, de_one = np.zeros((longest, self.ne)), np.zeros((longest, self.ne, max(ns, 1)))
+            bad = int(
+                self._library.gb_windows(
+                    m, _ptr(first), _ptr(length), _ptr(tail), self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x),
+                    _ptr(s), _ptr(u), _ptr(y), _ptr(mask), _ptr(p), ctypes.c_double(dt), _ptr(e), _ptr(de), _ptr(e_one),
+                    _ptr(de_one), _ptr(pattern), _ptr(one), arg, res, iw, w, _ptr(buffer),
+                )
+            )  # fmt: skip
+        else:
+            none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
+            width, at = self.past + self.future, 0
+            for i in range(m):
+                k, n, keep = int(rows[i]), int(lengths[i]), int(tails[i])
+                run = self.run(
+                    x0=x[i], inputs=u[k : k + n + width], outputs=y[k : k + n], mask=mask[k : k + n], pattern=pattern[:n],
+                    gains=none, p=p, dt=dt, s0=None if s is None else s[i], want=frozenset({"innovations", "sensitivity"}),
+                )  # fmt: skip
+                if run.failed_at is not None:
+                    bad = 1 + i
+                    break
+                x[i] = run.end
+                assert run.innovations is not None
+                e[at : at + keep] = run.innovations[n - keep :]
+                if s is not None and de is not None and run.sensitivity is not None:
+                    s[i] = run.end_sensitivity
+                    de[at : at + keep] = run.sensitivity[n - keep :]
+                at += keep
+        return Windows(
+            innovations=e, sensitivity=de, ends=x, end_sensitivity=s, failed_in=None if bad == 0 else bad - 1
+        )
 
     def rollout(
         self, *, starts: FloatArray, rows: npt.NDArray[np.int_], horizon: int, inputs: FloatArray, p: FloatArray, dt: float,

@@ -79,7 +79,10 @@ class Value:
 
 
 class Predictor(Protocol):
-    """Turns unknowns into residuals. `has_noise`: whether noise levels are unknowns of the fit."""
+    """Turns unknowns into residuals. `has_noise`: whether noise levels are unknowns of the fit.
+
+    A predictor whose attribute `has_initial` is False takes the initial states as prior only: they are no unknowns.
+    """
 
     name: str
     has_noise: bool
@@ -263,6 +266,7 @@ def make_problem(
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     declared = {d.name: d for d in dynamics.parameters}
+    estimate_initial = estimate_initial and bool(getattr(predictor, "has_initial", True))
 
     def known(names: Iterable[str]) -> list[str]:
         names = list(names)

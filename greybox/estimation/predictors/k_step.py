@@ -1,0 +1,77 @@
+"""k-step-ahead prediction: the innovation form filters up to sample t - k, the model runs on alone to sample t.
+
+    x_hat(t-k+1 | t-k) from the stationary filter,   e_t = y_t - h(F^(k-1)(x_hat(t-k+1 | t-k))),   k = 1: innovations
+
+(Ljung 1999, System Identification, sec. 3.2 and eq. 4.48; for control: Gevers 2005, European J. of Control 11(4-5).) The
+gain follows from noise levels that are held (those of the problem: given, of an earlier fit, or nominal) and from the
+parameters, exactly differentiated. Samples before the k-th are predicted from the initial state. Errors of
+neighbouring samples overlap, so that they are correlated up to lag k - 1: standard errors want the sandwich form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greybox.errors import FitError, ModelError
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.problem import Block, Problem
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class KStep:
+    """k-step-ahead prediction errors; k in samples."""
+
+    k: int = 10
+    name: str = "k-step"
+    has_noise: bool = False
+    filter: Innovation = field(default_factory=Innovation)
+
+    def __post_init__(self) -> None:
+        if self.k < 1:
+            raise ModelError("a prediction horizon must be one sample or more", got=str(self.k))
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """As the innovation form."""
+        return self.filter.prepare(problem)
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """Errors of every record, one row per sample; the criterion weighs them."""
+        engine = problem.engine
+        riccati = self.filter.riccati(problem, theta, jacobian)
+        nd = engine.nd if problem.state["estimate_initial"] else 0
+
+        def work(i: int) -> Block:
+            record = problem.records[i]
+            x0, s0, columns = start_of(problem, theta, i)
+            gains, _, _ = self.filter.tables(riccati, record.patterns, nd)
+            p = problem.parameters_of(theta, record.flight)
+            passed = engine.run(
+                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                gains=gains, p=p, dt=record.dt, s0=s0 if jacobian else None,
+                want=frozenset({"states", "state_sensitivity"}),
+            )  # fmt: skip
+            if passed.failed_at is not None:
+                raise FitError(f"the prediction of flight {record.flight} is not finite after sample {passed.failed_at}")
+            k = min(self.k, record.n)
+            rows = np.arange(record.n - k + 1)
+            tails = np.ones(rows.size, dtype=np.int32)
+            tails[0] = k
+            assert passed.states is not None
+            ahead = engine.windows(
+                starts=passed.states[rows], rows=rows, lengths=np.full(rows.size, k), tails=tails, inputs=record.inputs,
+                outputs=record.outputs, mask=record.mask, p=p, dt=record.dt,
+                s0=None if passed.state_sensitivity is None else passed.state_sensitivity[rows],
+            )  # fmt: skip
+            if ahead.failed_in is not None:
+                raise FitError(f"the prediction of flight {record.flight} is not finite from sample {ahead.failed_in}")
+            return Block(
+                record=record, e=ahead.innovations, mask=record.mask, jacobian=ahead.sensitivity, columns=columns,
+                covariance=None, covariance_slope=None, pattern=record.pattern,
+            )  # fmt: skip
+
+        return problem.map_records(work)

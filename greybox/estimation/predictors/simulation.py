@@ -1,0 +1,71 @@
+"""Pure simulation (output error): no correction, K = 0; the model runs on its own from a free initial state.
+
+    x(k+1) = F(x(k), u_k),   e_k = y_k - h(x(k), u_k)
+
+All misfit is sensor noise; the criterion estimates its level. (Ljung 1999, System Identification, eq. 4.25; Jategaonkar
+2015, Flight Vehicle System Identification, ch. 4.) Biased where process noise matters: use the innovation form there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.errors import FitError
+from greybox.estimation.engine import GainTable
+from greybox.estimation.problem import Block, Problem
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """Output error over whole records, each from its own initial state."""
+
+    name: str = "simulation"
+    has_noise: bool = False
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """Nothing to prepare."""
+        return {}
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """Simulation errors of every record; the criterion weighs them."""
+        engine = problem.engine
+
+        def work(i: int) -> Block:
+            record = problem.records[i]
+            x0, s0, columns = start_of(problem, theta, i)
+            count = len(record.patterns)
+            run = engine.run(
+                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                gains=GainTable(gain=np.zeros((count, engine.nd, engine.ne)), zero=np.ones(count, dtype=np.int32)),
+                p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=s0 if jacobian else None,
+                want=frozenset({"innovations", "sensitivity"}),
+            )  # fmt: skip
+            if run.failed_at is not None:
+                raise FitError(f"the simulation of flight {record.flight} is not finite after sample {run.failed_at}")
+            assert run.innovations is not None
+            return Block(
+                record=record, e=run.innovations, mask=record.mask, jacobian=run.sensitivity, columns=columns,
+                covariance=None, covariance_slope=None, pattern=record.pattern,
+            )  # fmt: skip
+
+        return problem.map_records(work)
+
+
+def start_of(
+    problem: Problem, theta: FloatArray, record_index: int
+) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
+    """(x0 (n_x,), its sensitivity s0 (n_d, n_s), columns (n_s,)): active parameters first, then the initial error state."""
+    record, engine = problem.records[record_index], problem.engine
+    columns = problem.local_columns(record.flight)
+    na = columns.size
+    if not problem.state["estimate_initial"]:
+        return record.x0, np.zeros((engine.nd, na)), columns
+    own = problem.initial_columns(record_index)
+    moved, _, j2 = engine.inject(record.x0, theta[own])
+    s0 = np.zeros((engine.nd, na + engine.nd))
+    s0[:, na:] = j2.full()
+    return np.asarray(moved.full()).ravel(), s0, np.concatenate([columns, own])
