@@ -1,7 +1,7 @@
 """PhysicsModel: rigid body with n rotors plus named effects plus sensors, as CasADi expressions (one `Dynamics`).
 
-The whole of the staged physics stands in this one file, because it is one derivation: command -> rotor -> thrust -> body
--> wrench -> rigid body -> sensors. Newton-Euler equations of the centre of mass, quaternion attitude:
+The whole of the staged physics stands in this one file, because it is one derivation: command -> rotor -> thrust ->
+body -> wrench -> rigid body -> sensors. Newton-Euler equations of the centre of mass, quaternion attitude:
 
     dp/dt = v,   m dv/dt = R(q) F - m g e_z,   dq/dt = q * (0, omega)/2,   J domega/dt = M - omega x J omega
     F = sum_i T_i e_z + effects,   M = sum_i (r_i x T_i e_z - s_i Q_i e_z) + effects,   T_i, Q_i = c0 + c1 nu + c2 nu^2
@@ -48,8 +48,9 @@ class PhysicsModel:
     """Newton-Euler multirotor of `vehicle` with `effects` and the sensors named in `sensors`.
 
     `input`: "command" (u1..un) or "speed" (measured rotor speeds omega1..omegan drive the rotors; needs speed_max).
-    `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that no sensor can feel, directly
-    or through other states, are left out (an IMU-only log has no position). Raises `ModelError`, `UnknownNameError`.
+    `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that no sensor can feel,
+    directly or through other states, are left out (an IMU-only log has no position). Raises `ModelError`,
+    `UnknownNameError`.
     """
 
     vehicle: Vehicle
@@ -263,20 +264,18 @@ class PhysicsModel:
 
     def _delay(self, values: Mapping[str, Expr]) -> Expr:
         total: Expr = 0.0
+        idle = Flow(vehicle=self.vehicle, vbat=1.0, command=ca.DM.zeros(self._n))
         for e in self._stage("command"):
-            total = total + e.apply(Flow(vehicle=self.vehicle), self._own(e, values)).get("delay", 0.0)
+            total = total + e.apply(idle, self._own(e, values)).get("delay", 0.0)
         return total
 
-    def _held_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> tuple[Expr, Expr, Expr]:
-        """(u_a, u_b, s): the delayed record holds u_a over [t_k, t_k + s) and u_b over [t_k + s, t_k+1).
+    def _bracket(self, window: Expr, r: Expr) -> tuple[Expr, Expr, Expr]:
+        """(older, newer, share): the rotor commands on both sides of the instant r samples before t_k.
 
-        Exact for a held record. A record that runs linearly is shifted by half a sample more and its mean over the step
-        taken as both. Branches are closed to the left, so that the slope at d = 0 is the one-sided one.
+        share in [0, 1] is how far that instant lies from the newer towards the older one. Branches are closed to the
+        left, so that the slope at r = 0 is the one-sided one.
         """
         past, future = self.window
-        if past == 0 and future == 0:
-            return window, window, 0.0
-        r = self._delay(values) / dt - 0.5 * future  # how many samples before t_k
         older: Expr = 0.0
         newer: Expr = 0.0
         whole: Expr = 0.0
@@ -286,12 +285,31 @@ class PhysicsModel:
             newer = newer + there * window[: self._n, past - m]
             older = older + there * window[: self._n, past - m - 1]
             whole = whole + there * m
-        share = r - whole
+        return older, newer, r - whole
+
+    def _held_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> tuple[Expr, Expr, Expr]:
+        """(u_a, u_b, s): the delayed record holds u_a over [t_k, t_k + s) and u_b over [t_k + s, t_k+1).
+
+        Exact for a held record. Of a record that runs linearly the value at the middle of the step is taken as both.
+        """
+        past, future = self.window
+        if past == 0 and future == 0:
+            return window, window, 0.0
+        older, newer, share = self._bracket(window, self._delay(values) / dt - 0.5 * future)
         rest = window[self._n :, past]
         if future:
-            mean = ca.vertcat(share * older + (1 - share) * newer, rest)
-            return mean, mean, 0.0
+            middle = ca.vertcat(share * older + (1 - share) * newer, rest)
+            return middle, middle, 0.0
         return ca.vertcat(older, rest), ca.vertcat(newer, rest), share * dt
+
+    def _sampled_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> Expr:
+        """The delayed command that a sample sees: the mean over the coming step (held record), else the value now."""
+        past, future = self.window
+        if future:
+            older, newer, share = self._bracket(window, self._delay(values) / dt)
+            return ca.vertcat(share * older + (1 - share) * newer, window[self._n :, past])
+        u_a, u_b, switch = self._held_command(window, values, dt)
+        return u_a + (u_b - u_a) * (1 - switch / dt)
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
         """nu_ss: command chain, then the product of the rotor stage's factors."""
@@ -309,11 +327,11 @@ class PhysicsModel:
         return nu
 
     def _lag(self, values: Mapping[str, Expr]) -> Expr:
-        """Time constant, kept above 1 microsecond so that tau = 0 is the instantaneous rotor."""
+        """Time constant; it may be zero (divide by `_positive` of it)."""
         for e in self._stage("rotor"):
-            slots = e.apply(Flow(vehicle=self.vehicle, vbat=1.0, command=0.0), self._own(e, values))
+            slots = e.apply(Flow(vehicle=self.vehicle, vbat=1.0, command=ca.DM.zeros(self._n)), self._own(e, values))
             if "lag" in slots:
-                return ca.fmax(slots["lag"], 1e-6)
+                return slots["lag"]
         raise ModelError("the model has no rotor lag")
 
     def _rigid_body(
@@ -323,17 +341,16 @@ class PhysicsModel:
         vehicle, values, n = self.vehicle, self._values(p), self._n
         rotation = rotation_matrix(x["attitude"])
         mass = values["mass"]
-        inertia = (
-            ca.SX(ca.DM(np.asarray(vehicle.inertia)))
-            if isinstance(mass, ca.SX)
-            else ca.MX(ca.DM(np.asarray(vehicle.inertia)))
-        )
+        kind = type(mass) if isinstance(mass, ca.SX | ca.MX) else ca.DM
+        inertia = kind(ca.DM(np.asarray(vehicle.inertia)))
         for i, a in enumerate(("xx", "yy", "zz")):
             inertia[i, i] = values[f"inertia.{a}"]
         com = ca.vertcat(*(values[f"center_of_mass.{a}"] for a in "xyz"))
         flow = Flow(vehicle=vehicle, vbat=u[n] if self._needs_vbat else None)
+        diagonal = _is_diagonal(vehicle)
         for e in self._stage("body"):
             slots = e.apply(flow, self._own(e, values))
+            diagonal = diagonal and "inertia_increment" not in slots
             mass = mass * slots.get("mass_factor", 1.0)
             inertia = inertia + slots.get("inertia_increment", 0.0)
             com = com + slots.get("center_of_mass", 0.0)
@@ -369,7 +386,6 @@ class PhysicsModel:
                 force = force + ca.sum2(hub)
                 moment = moment + sum(ca.cross(arms[:, i], hub[:, i]) for i in range(n))
         gyroscopic = ca.cross(x["rate"], inertia @ x["rate"])
-        diagonal = not any(e.stage == "body" and "inertia" in e.formula for e in self.effects) and _is_diagonal(vehicle)
         if diagonal:
             alpha = (moment - gyroscopic) / ca.diag(inertia)
         else:
@@ -423,7 +439,7 @@ class PhysicsModel:
         values = self._values(p)
         steady = self._steady_speed(u, values)
         if self._has_lag:
-            nu_rate = (steady - nu) / self._lag(values)
+            nu_rate = (steady - nu) / _positive(self._lag(values))
         else:
             nu, nu_rate = steady, steady * 0
         d = self._derivative(blocks, nu, nu_rate, u, p, ca.DM.zeros(6))
@@ -437,7 +453,7 @@ class PhysicsModel:
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
-        nu_rate = (steady - nu) / self._lag(values) if self._has_lag else steady * 0
+        nu_rate = (steady - nu) / _positive(self._lag(values)) if self._has_lag else steady * 0
         sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
         return self._measure(flow, sf, p)
 
@@ -449,29 +465,27 @@ class PhysicsModel:
         w = self._noise(w)
         first, second = self._steady_speed(u_a, values), self._steady_speed(u_b, values)
         u = u_b
-        if self._has_lag:
-            tau = self._lag(values)
-            path, slope = _rotor_path(nu, first, second, switch, dt, tau)
-        else:
-            mean = first + (second - first) * (1 - switch / dt)
-            path, slope = [mean] * 3, [mean * 0] * 3
+        tau = self._lag(values) if self._has_lag else 0.0
+        path, end = _rotor_path(nu if self._has_lag else first, first, second, switch, dt, tau)
+        slope = (end - nu) / dt if self._has_lag else end * 0
 
         def moved(k: Mapping[str, Expr], step: Expr) -> dict[str, Expr]:
             return {b: blocks[b] + step * k[b] for b in blocks}
 
-        k1 = self._derivative(blocks, path[0], slope[0], u, p, w)
-        k2 = self._derivative(moved(k1, dt / 2), path[1], slope[1], u, p, w)
-        k3 = self._derivative(moved(k2, dt / 2), path[1], slope[1], u, p, w)
-        k4 = self._derivative(moved(k3, dt), path[2], slope[2], u, p, w)
+        k1 = self._derivative(blocks, path[0], slope, u, p, w)
+        k2 = self._derivative(moved(k1, dt / 2), path[1], slope, u, p, w)
+        k3 = self._derivative(moved(k2, dt / 2), path[1], slope, u, p, w)
+        k4 = self._derivative(moved(k3, dt), path[2], slope, u, p, w)
         after = {b: blocks[b] + dt / 6 * (k1[b] + 2 * k2[b] + 2 * k3[b] + k4[b]) for b in blocks}
         after["attitude"] = quat_normalize(after["attitude"])
-        return self._join(after, path[2])
+        return self._join(after, end)
 
     def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """Outputs at the sample; the force noise of the coming step reaches the accelerometer."""
-        values = self._values(p)
-        u_a, u_b, switch = self._held_command(window, values, dt)
-        return self._outputs(x, u_a + (u_b - u_a) * (1 - switch / dt), p, self._noise(w))
+        """Outputs at the sample; the force noise of the coming step reaches the accelerometer.
+
+        Rotors with a lag show their speed at t_k; rotors without one that of the step that begins.
+        """
+        return self._outputs(x, self._sampled_command(window, self._values(p), dt), p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""
@@ -615,18 +629,27 @@ def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
     for i, a in enumerate(("xx", "yy", "zz")):
         j = float(vehicle.inertia[i][i])
         out.append(
-            declare(f"inertia.{a}", "kg m^2", j, float(vehicle.inertia_sigma[i]), f"moment of inertia {a}", positive=True, size=j)
+            declare(
+                f"inertia.{a}", "kg m^2", j, float(vehicle.inertia_sigma[i]), f"moment of inertia {a}",
+                positive=True, size=j,
+            )
         )  # fmt: skip
     for i, a in enumerate("xyz"):
         c = vehicle.center_of_mass[i]
         out.append(
-            declare(f"center_of_mass.{a}", "m", c.value, c.sigma, f"centre of mass {a}", positive=False, size=vehicle.arm_length)
+            declare(
+                f"center_of_mass.{a}", "m", c.value, c.sigma, f"centre of mass {a}",
+                positive=False, size=vehicle.arm_length,
+            )
         )  # fmt: skip
     for kind, unit, triple in (("thrust", "N", vehicle.actuator.thrust), ("torque", "N m", vehicle.actuator.torque)):
         size = max(abs(q.value) for q in triple) or 1.0
         for k, q in enumerate(triple):
             out.append(
-                declare(f"{kind}.c{k}", unit, q.value, q.sigma, f"{kind} per rotor, power {k} of nu", positive=False, size=size)
+                declare(
+                    f"{kind}.c{k}", unit, q.value, q.sigma, f"{kind} per rotor, power {k} of nu",
+                    positive=False, size=size,
+                )
             )  # fmt: skip
     return tuple(out)
 
@@ -637,21 +660,32 @@ def sensors_for(columns: Iterable[str], vehicle: Vehicle, *, exclude: Iterable[s
     return tuple(s for s in SENSORS if s.name not in left_out and have.issuperset(x.name for x in s.signals(vehicle)))
 
 
+def _positive(tau: Expr) -> Expr:
+    """A time constant to divide by: at least one microsecond, so that tau = 0 is the instantaneous rotor."""
+    return ca.fmax(tau, 1e-6)
+
+
 def _rotor_path(
     nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, tau: Expr
-) -> tuple[list[Expr], list[Expr]]:
-    """(nu, dnu/dt) at 0, dt/2 and dt of a first-order lag whose goal changes from `first` to `second` at `switch`."""
+) -> tuple[tuple[Expr, Expr, Expr], Expr]:
+    """((nu at 0, dt/2 and dt for Runge-Kutta), nu at the end) of a first-order lag whose goal changes at `switch`.
 
-    def at(t: Expr) -> tuple[Expr, Expr]:
-        before = ca.if_else(t < switch, t, switch)
-        after = t - before
-        reached = first + (nu - first) * ca.exp(-before / tau)
-        value = second + (reached - second) * ca.exp(-after / tau)
-        goal = ca.if_else(t < switch, first, second)
-        return value, (goal - value) / tau
-
-    points = [at(t) for t in (0.0 * dt, 0.5 * dt, dt)]
-    return [v for v, _ in points], [r for _, r in points]
+    The end is exact. The integrator gets the straight line that has the mean and the first moment of the exact path
+    over the step, so that impulse and displacement are right however short tau is against dt and wherever the goal
+    changes; a sampled exponential would give a rotor that has long settled a sixth of its old speed. In the moments tau
+    stands before every exponential, so that tau = 0 is the rotor without lag to the last digit and the slope there is
+    the true one, -(goal - nu)/dt in the mean.
+    """
+    before, after, short = switch / dt, 1 - switch / dt, tau / dt
+    left_a, left_b = ca.exp(-switch / _positive(tau)), ca.exp(-(dt - switch) / _positive(tau))
+    start_a, start_b = nu - first, first - second + (nu - first) * left_a
+    # Moments over [0, length] of exp(-xi / short), xi the time in units of dt.
+    area_a, area_b = short * (1 - left_a), short * (1 - left_b)
+    arm_a, arm_b = short * (area_a - before * left_a), short * (area_b - after * left_b)
+    mean = before * first + after * second + start_a * area_a + start_b * area_b
+    moment = 0.5 * before * after * (second - first)  # about the middle of the step
+    moment = moment + start_a * (arm_a - 0.5 * area_a) + start_b * (arm_b + (before - 0.5) * area_b)
+    return (mean - 6 * moment, mean, mean + 6 * moment), second + start_b * left_b
 
 
 def _polynomial(nu: Expr, c: Sequence[Expr]) -> Expr:
@@ -661,3 +695,35 @@ def _polynomial(nu: Expr, c: Sequence[Expr]) -> Expr:
 def _is_diagonal(vehicle: Any) -> bool:
     j = np.asarray(vehicle.inertia)
     return bool(np.allclose(j, np.diag(np.diag(j))))
+
+
+def build_model(
+    vehicle: Vehicle,
+    columns: Iterable[str],
+    effects: Iterable[str | Effect] = (),
+    *,
+    input: Literal["command", "speed"] = "command",
+    sample_time: float = 0.01,
+    noncausal: Iterable[str] = (),
+) -> PhysicsModel:
+    """The model for a vehicle and a log: its known effects, the ones asked for, and the sensors that the log fills.
+
+    `columns` are the channels of the data (`Dataset.channels`), `noncausal` those that were smoothed with later samples
+    and must not serve as measurements. Raises `ModelError`, `UnknownNameError`.
+    """
+    usable = set(columns) - set(noncausal)
+    names = list(vehicle.effects)
+    chosen: list[Effect] = [effect_by_name(n) for n in names]
+    for e in effects:
+        effect = effect_by_name(e) if isinstance(e, str) else e
+        if effect.name not in names:
+            names.append(effect.name)
+            chosen.append(effect)
+    exclude = {"rotor_speed"} if input == "speed" else set()
+    return PhysicsModel(
+        vehicle=vehicle,
+        effects=tuple(chosen),
+        sensors=sensors_for(usable, vehicle, exclude=exclude),
+        input=input,
+        sample_time=sample_time,
+    )
