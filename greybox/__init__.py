@@ -1,1 +1,64 @@
-"""Grey-box identification of small multirotors: physics by the prediction error method."""
+"""Grey-box identification of small multirotors: physics by the prediction error method, with honest error bars.
+
+The scripting interface in twelve lines is in README.md. Everything here is loaded on first use, so that `import greybox`
+stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+_PUBLIC = {
+    "read_log": "greybox.data.logs",
+    "read_logs": "greybox.data.logs",
+    "Dataset": "greybox.data",
+    "Flight": "greybox.data",
+    "Segment": "greybox.data",
+    "dataset_from_arrays": "greybox.data",
+    "check": "greybox.data.checks",
+    "read_vehicle": "greybox.model.vehicle",
+    "Vehicle": "greybox.model.vehicle",
+    "build_model": "greybox.model.model",
+    "PhysicsModel": "greybox.model.model",
+    "StateSpaceModel": "greybox.model.dynamics",
+    "Parameter": "greybox.model.parameter",
+    "ParameterValues": "greybox.model.parameter",
+    "Layout": "greybox.symbolic",
+    "Signal": "greybox.symbolic",
+    "IdentifiedModel": "greybox.model.identified",
+    "fit": "greybox.estimation.fit",
+    "Fit": "greybox.estimation.fit",
+    "validate": "greybox.validation.validate",
+    "fit_report": "greybox.report.fit_report",
+    "GreyboxError": "greybox.errors",
+}
+
+__all__ = sorted(_PUBLIC)
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
+    from greybox.data.checks import check
+    from greybox.data.logs import read_log, read_logs
+    from greybox.errors import GreyboxError
+    from greybox.estimation.fit import Fit, fit
+    from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.model import PhysicsModel, build_model
+    from greybox.model.parameter import Parameter, ParameterValues
+    from greybox.model.vehicle import Vehicle, read_vehicle
+    from greybox.report.fit_report import fit_report
+    from greybox.symbolic import Layout, Signal
+    from greybox.validation.validate import validate
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        value = getattr(importlib.import_module(_PUBLIC[name]), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'greybox' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_PUBLIC]

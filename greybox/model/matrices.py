@@ -92,7 +92,8 @@ def steady_gain(
         p = sla.solve_discrete_are(a.T, c.T, q, r, s=s)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ModelError(
-            f"no steady-state Kalman gain ({error})", fix="give process noise to every mode on or outside the unit circle"
+            f"no steady-state Kalman gain ({error})",
+            fix="give process noise to every mode on or outside the unit circle",
         ) from None
     lam = c @ p @ c.T + r
     cross = a @ p @ c.T + (0.0 if s is None else s)

@@ -32,7 +32,7 @@ class RotationalDamping(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """d_p, d_q, d_r [N m s]."""
         scale = vehicle.inertia[0][0]  # 1 rad/s decays at 1 1/s
-        return vector_parameters("d_", "pqr", unit="N m s/rad", scale=scale, meaning="damping", lower=0.0)
+        return vector_parameters("d_", "pqr", unit="N m s", scale=scale, meaning="damping", lower=0.0)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """One coefficient per axis."""

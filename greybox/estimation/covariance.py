@@ -1,0 +1,98 @@
+"""Covariance of an estimate: Fisher, sandwich for coloured innovations, and what an active bound leaves of them.
+
+Fisher: the inverse of the Gauss-Newton Hessian (with priors). Sandwich: H^-1 (sum g_b g_b' + P) H^-1 with the scores g_b of
+blocks longer than the correlation of the innovations and the prior precision P (White 1982, Econometrica 50(1); Newey and
+West 1987). An unknown at an active bound has no two-sided error: it is held, and the others are conditional on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from greybox.symbolic import FloatArray
+
+NULL_SHARE = 1e-10
+"""Eigenvalues of the scaled information below this share of the largest count as no information."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariance:
+    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many scores were summed."""
+
+    fisher: FloatArray
+    sandwich: FloatArray
+    blocks: int
+
+    def chosen(self, coloured: bool) -> FloatArray:
+        """The sandwich where the innovations are coloured (and there are blocks enough), else Fisher."""
+        return self.sandwich if coloured and self.blocks >= 20 else self.fisher
+
+
+def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: FloatArray) -> Covariance:
+    """Covariances from the Hessian with priors (n, n), block scores (n_b, n), prior precisions (n,), held unknowns (n,).
+
+    Directions without any information (neither data nor prior) get infinite variance on the unknowns they touch.
+    """
+    free = ~np.asarray(held, dtype=bool)
+    n = free.size
+    fisher, sandwich = np.zeros((n, n)), np.zeros((n, n))
+    if free.any():
+        inside = np.ix_(free, free)
+        inverse, empty = scaled_inverse(hessian[inside])
+        meat = np.diag(precision[free])
+        if scores is not None:
+            part = scores[:, free]
+            meat = meat + part.T @ part
+        fisher[inside] = inverse
+        sandwich[inside] = inverse @ meat @ inverse
+        places = np.flatnonzero(free)[empty]
+        for m in (fisher, sandwich):
+            m[places, places] = np.inf
+    return Covariance(fisher=fisher, sandwich=sandwich, blocks=0 if scores is None else scores.shape[0])
+
+
+def scaled_inverse(h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space)."""
+    size = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    value, vector = np.linalg.eigh(h / np.outer(size, size))
+    good = value > NULL_SHARE * max(value[-1], 1e-300)
+    inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(size, size)
+    empty = (np.abs(vector[:, ~good]) > 0.05).any(axis=1)
+    return inverse, empty
+
+
+def correlation(c: FloatArray) -> FloatArray:
+    """Correlation matrix of a covariance; zero where a variance is zero or infinite."""
+    size = np.sqrt(np.diag(c))
+    usable = np.isfinite(size) & (size > 0)
+    out = np.zeros_like(c)
+    inside = np.ix_(usable, usable)
+    out[inside] = c[inside] / np.outer(size[usable], size[usable])
+    np.fill_diagonal(out, 1.0)
+    return out
+
+
+def is_coloured(innovations: list[FloatArray], lags: int = 20, level: float = 0.01) -> bool:
+    """Whether some channel fails the Ljung-Box test (Biometrika 65(2), 1978) at `level`, Bonferroni over channels.
+
+    `innovations`: records (n, n_e), NaN = missing (left out of every product). Short records and channels are passed over.
+    """
+    usable = [e for e in innovations if e.shape[0] > 3 * lags]
+    if not usable:
+        return False
+    worst, tested = 1.0, 0
+    for j in range(usable[0].shape[1]):
+        columns = [e[:, j] - np.nanmean(e[:, j]) for e in usable if np.isfinite(e[:, j]).any()]
+        filled = [np.where(np.isfinite(c), c, 0.0) for c in columns]
+        count = sum(int(np.isfinite(c).sum()) for c in columns)
+        power = sum(float(c @ c) for c in filled)
+        if count < 5 * lags or power <= 0:
+            continue
+        r = np.array([sum(float(c[k:] @ c[:-k]) for c in filled) / power for k in range(1, lags + 1)])
+        statistic = count * (count + 2) * float((r * r / (count - np.arange(1, lags + 1))).sum())
+        worst = min(worst, float(scipy.stats.chi2.sf(statistic, lags)))
+        tested += 1
+    return tested > 0 and worst < level / tested

@@ -1,0 +1,423 @@
+"""fit: estimate a model's parameters from flights by the prediction error method, and say how sure the numbers are.
+
+fit is a function from values to a value: model, data and choices in, a frozen `Fit` out; nothing is changed in place.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from greybox.data import Dataset
+from greybox.errors import UnknownNameError
+from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured
+from greybox.estimation.criteria import CRITERIA
+from greybox.estimation.identifiability import Combination, marginal_information, unidentified
+from greybox.estimation.predictors import PREDICTORS
+from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.solvers import SOLVERS
+from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
+from greybox.estimation.status import Status
+from greybox.files import write_json
+from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
+from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.parameter import ParameterValues
+from greybox.symbolic import FloatArray
+
+SCHEMA = "greybox.fit/1"
+Progress = Callable[[int, float, float], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there)."""
+
+    name: str
+    value: float
+    std: float
+    std_fisher: float
+    unit: str
+    scope: str
+    prior: tuple[float, float] | None
+    prior_influence: float
+    at_bound: bool
+    per_flight: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in fit.json."""
+        return {
+            "value": self.value, "std": self.std, "std_fisher": self.std_fisher, "unit": self.unit, "scope": self.scope,
+            "prior": None if self.prior is None else {"value": self.prior[0], "sigma": self.prior[1]},
+            "prior_influence": self.prior_influence, "at_bound": self.at_bound,
+            "per_flight": {k: {"value": v, "std": s} for k, (v, s) in self.per_flight.items()},
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """What a fit found. Holds no raw data; `innovations` (flight -> list of (n, n_e)) are NaN where missing.
+
+    `cost` is the negative log posterior, `loglik` the log likelihood without priors. `coloured` says whether the
+    innovations fail the whiteness test, in which case `std` of the estimates is the sandwich one.
+    """
+
+    model: IdentifiedModel
+    parameters: Mapping[str, Estimate]
+    derived: Mapping[str, tuple[float, float]]
+    noise: Mapping[str, tuple[float, float, str]]
+    status: Status
+    cost: float
+    loglik: float
+    n_samples: int
+    n_parameters: int
+    correlation_names: tuple[str, ...]
+    correlations: FloatArray
+    unidentifiable: tuple[Combination, ...]
+    innovations: Mapping[str, list[FloatArray]]
+    coloured: bool
+    flights: tuple[Mapping[str, Any], ...]
+    settings: Mapping[str, Any]
+    warnings: tuple[str, ...]
+    data_hash: str
+    problem: Problem
+    theta: FloatArray
+    covariance: Covariance
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self.status.converged
+
+    def __getitem__(self, name: str) -> Estimate:
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise UnknownNameError("estimated parameter", name, self.parameters) from None
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, -2 log L + 2 k (Akaike 1974)."""
+        return -2 * self.loglik + 2 * self.n_parameters
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' information criterion, -2 log L + k ln N, N the number of samples (Schwarz 1978)."""
+        return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of fit.json (schema "greybox.fit/1")."""
+        d = self.model.dynamics
+        return {
+            "schema": SCHEMA,
+            "model": {
+                "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
+                "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
+                "omega_known": getattr(self.model.physics, "omega_known", True),
+            },
+            "settings": dict(self.settings),
+            "status": self.status.to_dict(),
+            "cost": {
+                "negative_log_posterior": self.cost, "loglik": self.loglik, "n_samples": self.n_samples,
+                "n_parameters": self.n_parameters, "aic": self.aic, "bic": self.bic,
+            },
+            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
+            "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
+            "std_kind": "sandwich" if self.coloured and self.covariance.blocks >= 20 else "fisher",
+            "correlations": {"names": list(self.correlation_names), "matrix": self.correlations.tolist()},
+            "unidentifiable": [c.text for c in self.unidentifiable],
+            "flights": [dict(f) for f in self.flights],
+            "warnings": list(self.warnings),
+            "data_hash": self.data_hash,
+            "versions": library_versions(),
+        }  # fmt: skip
+
+    def save(self, folder: str) -> None:
+        """Write fit.json and model.json into a folder, each atomically."""
+        write_json(f"{folder}/fit.json", self.to_dict())
+        self.model.save(f"{folder}/model.json")
+
+    def summary(self) -> str:
+        """The estimates as text, status first."""
+        lines = [self.status.advice]
+        width = max((len(n) for n in self.parameters), default=4)
+        for n, e in self.parameters.items():
+            error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
+            extra = f"  (prior decides {100 * e.prior_influence:.0f} %)" if e.prior_influence > 0.2 else ""
+            scope = "  per flight" if e.scope == "flight" else ""
+            lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
+        lines += [f"not identified: {c.text}" for c in self.unidentifiable]
+        lines += [f"warning: {w}" for w in self.warnings]
+        return "\n".join(lines)
+
+
+def member(kind: str, catalogue: Mapping[str, Any], choice: Any) -> Any:
+    """A member by name, or the object itself. Raises `UnknownNameError` with the nearest names."""
+    if not isinstance(choice, str):
+        return choice
+    if choice not in catalogue:
+        raise UnknownNameError(kind, choice, catalogue)
+    return catalogue[choice]()
+
+
+def fit(
+    model: Dynamics,
+    data: Dataset,
+    *,
+    predictor: Any = "innovation",
+    criterion: Any = "gaussian",
+    solver: Any = "levenberg-marquardt",
+    initialisation: str = "nominal",
+    disturbance: Iterable[str] = (),
+    free: Iterable[str] | None = None,
+    fixed: Iterable[str] = (),
+    per_flight: Iterable[str] = (),
+    shared: Iterable[str] = (),
+    values: Mapping[str, float] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    noise: Mapping[str, float] | None = None,
+    estimate_noise: bool = True,
+    seed: int = 0,
+    starts: int = 8,
+    progress: Progress | None = None,
+    use_compiler: bool = True,
+) -> Fit:
+    """Fit `model` to `data` by the prediction error method.
+
+    predictor x criterion x solver x initialisation are names or objects (see greybox.estimation). `disturbance` names
+    the process-noise groups ("force", "torque") that also get a slowly varying disturbance state. Which parameters are
+    free, fixed, per flight or shared, start values, priors and noise levels: see
+    `greybox.estimation.problem.make_problem`. `initialisation`: "nominal", "noise" (start noise levels from the data),
+    "equation-error" or "multistart" (`starts` random starts with `seed`). `progress(iteration, cost, decrement)` is
+    called every iteration. The result says whether the fit converged; a fit that did not never looks like one that did.
+    Raises `DataError`, `ModelError`, `UnknownNameError`.
+    """
+    began = time.perf_counter()
+    groups = tuple(disturbance)
+    dynamics: Dynamics = Disturbed(inner=model, groups=groups) if groups else model
+    chosen_predictor = member("predictor", PREDICTORS, predictor)
+    chosen_criterion = member("criterion", CRITERIA, criterion)
+    chosen_solver = member("solver", SOLVERS, solver)
+    with threadpool_limits(limits=1):
+        problem = make_problem(
+            dynamics, data, predictor=chosen_predictor, criterion=chosen_criterion, free=free, fixed=fixed,
+            per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
+            estimate_noise=estimate_noise, use_compiler=use_compiler,
+        )  # fmt: skip
+        start = _initialise(problem, initialisation, chosen_solver, seed, starts)
+        theta, status = chosen_solver.solve(problem, start, progress)
+        result = _finish(problem, data, theta, status, began)
+    settings = {
+        "predictor": chosen_predictor.name, "criterion": chosen_criterion.name, "solver": chosen_solver.name,
+        "initialisation": initialisation, "disturbance": list(groups), "estimate_noise": estimate_noise, "seed": seed,
+        "per_flight": sorted({u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}),
+        "fixed": sorted(set(d.name for d in dynamics.parameters) - set(problem.engine.active)),
+        "compiled": problem.engine.compiled,
+    }  # fmt: skip
+    return Fit(**{**result, "settings": settings})
+
+
+def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int) -> FloatArray:
+    if how == "nominal":
+        return problem.start
+    from greybox.estimation import initialisation as init
+
+    if how == "noise":
+        return init.noise_start(problem)
+    if how == "equation-error":
+        return init.equation_error(problem)
+    if how == "multistart":
+        return init.multistart(problem, solver, starts, seed).best
+    raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart"))
+
+
+def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float) -> dict[str, Any]:
+    """Errors, identifiability and the identified model at the solution."""
+    from dataclasses import replace
+
+    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200)
+    value = problem.evaluate(theta, scores=block)
+    warnings: list[str] = []
+    precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])
+    if value.gradient is None or value.hessian is None or value.data_hessian is None:
+        n = problem.n
+        held = np.zeros(n, dtype=bool)
+        spread = Covariance(fisher=np.full((n, n), np.nan), sandwich=np.full((n, n), np.nan), blocks=0)
+        data_hessian = np.zeros((n, n))
+    else:
+        g = value.gradient
+        low, high = theta <= problem.lower, theta >= problem.upper
+        held = (low & (g > 0)) | (high & (g < 0))
+        spread = covariance(value.hessian, value.scores, precision, held)
+        data_hessian = value.data_hessian
+        if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
+            warnings.append("the solver stopped at its own tolerance, but a full step would still lower the cost")
+    blocks = list(problem.predictor.blocks(problem, theta, False)) if value.valid else []
+    innovations: dict[str, list[FloatArray]] = {}
+    whitened: list[FloatArray] = []
+    for b in blocks:
+        e = np.where(b.mask != 0, b.e, np.nan)
+        innovations.setdefault(b.record.flight, []).append(e)
+        whitened.append(e)
+    coloured = is_coloured(whitened)
+    matrix = spread.chosen(coloured)
+    estimates = _estimates(problem, theta, matrix, spread.fisher, held, precision)
+    if not status.converged:
+        warnings.insert(0, status.advice)
+    warnings += [
+        f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the effect list"
+        for n, e in estimates.items()
+        if e.at_bound
+    ]
+    total_held = sum(r.held for r in problem.records)
+    if total_held:
+        warnings.append(f"{total_held} missing command or voltage cells were held from the sample before")
+    if not problem.engine.compiled:
+        warnings.append("no C compiler was used: CasADi's VM ran the same equations, slower")
+    keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
+    labels = [_label(problem.unknowns[i]) for i in keep]
+    information = marginal_information(data_hessian, keep)
+    combinations = unidentified(information, labels, [theta[i] for i in keep])
+    for c in combinations:
+        decided = all(np.isfinite(problem.unknowns[keep[labels.index(n)]].sigma) for n in c.names)
+        warnings.append(f"not identified by these data: {c.text}" + ("; the priors decide" if decided else ""))
+    shared = [i for i in keep if problem.unknowns[i].flight is None]
+    names = tuple(problem.unknowns[i].name for i in shared)
+    cov = matrix[np.ix_(shared, shared)]
+    noise: dict[str, tuple[float, float, str]] = {}
+    for i, u in enumerate(problem.unknowns):
+        if u.kind == "noise":
+            level = float(np.exp(theta[i]))
+            noise[u.name] = (level, level * float(np.sqrt(max(matrix[i, i], 0.0))), u.unit)
+    n_samples = int(sum(r.n for r in problem.records))
+    free = [i for i, u in enumerate(problem.unknowns) if u.kind != "initial"]
+    model = _identified(problem, data, theta, estimates, names, cov, whitened)
+    return {
+        "model": model, "parameters": estimates, "derived": _derived(problem, theta, matrix), "noise": noise,
+        "status": replace(status, seconds=time.perf_counter() - began), "cost": value.cost, "loglik": -value.likelihood,
+        "n_samples": n_samples, "n_parameters": len(free), "correlation_names": names, "correlations": correlation(cov),
+        "unidentifiable": combinations, "innovations": innovations, "coloured": coloured,
+        "flights": tuple(
+            {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)} for f in data.flights
+        ),
+        "settings": {}, "warnings": tuple(warnings), "data_hash": data.hash, "problem": problem, "theta": theta,
+        "covariance": spread,
+    }  # fmt: skip
+
+
+def _label(u: Any) -> str:
+    return u.name if u.flight is None else f"{u.name} ({u.flight})"
+
+
+def _estimates(
+    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: FloatArray, precision: FloatArray
+) -> dict[str, Estimate]:
+    out: dict[str, Estimate] = {}
+    by_name: dict[str, list[int]] = {}
+    for i, u in enumerate(problem.unknowns):
+        if u.kind == "parameter":
+            by_name.setdefault(u.name, []).append(i)
+
+    def std(m: FloatArray, i: int) -> float:
+        return float("nan") if held[i] else float(np.sqrt(max(m[i, i], 0.0)))
+
+    for d in problem.dynamics.parameters:
+        places = by_name.get(d.name)
+        if not places:
+            continue
+        first = problem.unknowns[places[0]]
+        has_prior = bool(np.isfinite(first.sigma))
+        influence = float(np.mean([min(fisher[i, i] * precision[i], 1.0) for i in places])) if has_prior else 0.0
+        common = {
+            "name": d.name, "unit": d.unit, "prior": (first.mean, first.sigma) if has_prior else None,
+            "prior_influence": influence, "at_bound": bool(held[places].any()),
+        }  # fmt: skip
+        if first.flight is None:
+            i = places[0]
+            out[d.name] = Estimate(
+                value=float(theta[i]), std=std(matrix, i), std_fisher=std(fisher, i), scope="shared", **common
+            )
+            continue
+        each = {str(problem.unknowns[i].flight): (float(theta[i]), std(matrix, i)) for i in places}
+        numbers = np.array([v for v, _ in each.values()])
+        between = float(numbers.std(ddof=1)) if numbers.size > 1 else float("nan")
+        out[d.name] = Estimate(
+            value=float(numbers.mean()), std=between if numbers.size > 1 else std(matrix, places[0]),
+            std_fisher=float(np.nanmean([std(fisher, i) for i in places])) if not held[places].all() else float("nan"),
+            scope="flight", per_flight=each, **common,
+        )  # fmt: skip
+    return out
+
+
+def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[str, tuple[float, float]]:
+    """Derived parameters with standard errors by the delta method (per-flight ones for each flight)."""
+    inner = problem.dynamics
+    make = getattr(inner, "derived", None)
+    if make is None:
+        return {}
+    p = ca.SX.sym("p", len(problem.dynamics.parameters))
+    table = make(p)
+    if not table:
+        return {}
+    vector = ca.vertcat(*table.values())
+    function = ca.Function("derived", [p], [vector, ca.jacobian(vector, p)[:, problem.engine.active_index.tolist()]])
+    out: dict[str, tuple[float, float]] = {}
+    own = {u.name.split(".")[0] for u in problem.unknowns if u.flight and u.kind == "parameter"}
+    for flight in (None, *problem.flights):
+        values, slope = function(problem.parameters_of(theta, flight))
+        for k, name in enumerate(table):
+            if (name.split(".")[0] in own) == (flight is None):
+                continue  # per-flight effects get one row per flight, shared ones a single row
+            columns = problem.local_columns(flight or "")
+            spread = float(slope.full()[k] @ matrix[np.ix_(columns, columns)] @ slope.full()[k])
+            label = name if flight is None else f"{name} ({flight})"
+            out[label] = (float(values[k]), float(np.sqrt(max(spread, 0.0))))
+    return out
+
+
+def _identified(
+    problem: Problem, data: Dataset, theta: FloatArray, estimates: Mapping[str, Estimate], names: tuple[str, ...],
+    cov: FloatArray, innovations: list[FloatArray],
+) -> IdentifiedModel:  # fmt: skip
+    d = problem.dynamics
+    values = {p.name: float(problem.base[i]) for i, p in enumerate(d.parameters)}
+    values |= {n: e.value for n, e in estimates.items()}
+    per_flight: dict[str, dict[str, float]] = {}
+    spread: dict[str, tuple[float, float]] = {}
+    declared = {p.name: p for p in d.parameters}
+    for n, e in estimates.items():
+        if e.scope != "flight":
+            continue
+        for f, (v, _) in e.per_flight.items():
+            per_flight.setdefault(f, {})[n] = v
+        between = e.std if len(e.per_flight) > 1 and np.isfinite(e.std) and e.std > 0 else declared[n].scale
+        spread[n] = (e.value, float(between))
+    process, sensor = problem.noise_levels(theta)
+    if not problem.predictor.has_noise and innovations:
+        stacked = np.concatenate(innovations)
+        good = np.isfinite(stacked).any(axis=0)
+        rms = np.sqrt(np.nanmean(np.where(good, stacked, 0.0) ** 2, axis=0))
+        sensor = np.where(good & (rms > 0), rms, sensor)
+    x_ref = d.reference(problem.means)
+    u_ref = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
+    domain: dict[str, tuple[float, float]] = {}
+    for f in data.flights:
+        for s in f.segments:
+            for n, v in s.channels.items():
+                good = v[np.isfinite(v)]
+                if good.size:
+                    low, high = domain.get(n, (np.inf, -np.inf))
+                    domain[n] = (min(low, float(good.min())), max(high, float(good.max())))
+    return IdentifiedModel(
+        dynamics=d, values=ParameterValues(values), covariance_names=names, covariance=cov, per_flight=per_flight,
+        flight_spread=spread, process_noise=process, sensor_noise=sensor,
+        weak=100.0 * np.max([r.x0_sigma for r in problem.records], axis=0), reference_state=x_ref, reference_inputs=u_ref,
+        sample_time=problem.dt, domain=domain, data_hash=data.hash, trained_on=problem.flights,
+    )  # fmt: skip

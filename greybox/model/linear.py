@@ -1,0 +1,308 @@
+"""LinearModel: a discrete linear state-space model in innovation form, with names and units. One of the `Dynamics`.
+
+x[k+1] = A x[k] + B (u[k-delay] - u0) + K e[k],  y[k] = y0 + C x[k] + D (u[k-delay] - u0) + e[k],  cov(e) = Lambda.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.linalg as sla
+
+from greybox.errors import FileFormatError, ModelError
+from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.model.matrices import Matrices, spectral_radius
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
+
+SCHEMA = "greybox.linear_model/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearModel:
+    """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p), Lambda (p, p), sample time `dt` [s], names and operating point.
+
+    `delays` are whole samples per input; `input_offset` (m,) and `output_offset` (p,) are the operating point in the
+    units of the channels. Raises `ModelError` where the sizes do not fit or Lambda is not a covariance.
+    """
+
+    name: str
+    matrices: Matrices
+    noise: FloatArray
+    dt: float
+    inputs: Layout
+    outputs: Layout
+    delays: tuple[int, ...] = ()
+    input_offset: FloatArray = field(default_factory=lambda: np.zeros(0))
+    output_offset: FloatArray = field(default_factory=lambda: np.zeros(0))
+    comment: str = ""
+
+    def __post_init__(self) -> None:
+        m, p = len(self.inputs), len(self.outputs)
+        arrays = [np.array(v, dtype=np.float64, copy=True) for v in self.matrices]
+        n = arrays[0].shape[0] if arrays[0].ndim == 2 else -1
+        for what, array, shape in zip("ABCDK", arrays, ((n, n), (n, m), (p, n), (p, m), (n, p))):
+            if array.shape != shape:
+                raise ModelError(f"{self.name}: {what} has shape {array.shape}", expected=f"{shape}")
+            if not np.isfinite(array).all():
+                raise ModelError(f"{self.name}: {what} is not finite")
+        noise = np.array(self.noise, dtype=np.float64, copy=True).reshape(p, p)
+        if not np.allclose(noise, noise.T, rtol=1e-8, atol=0) or np.linalg.eigvalsh(noise).min(initial=0.0) < 0:
+            raise ModelError(f"{self.name}: Lambda is not symmetric positive semi-definite")
+        if not self.dt > 0:
+            raise ModelError(f"{self.name}: sample time must be positive", got=f"{self.dt:g} s")
+        object.__setattr__(self, "matrices", Matrices(*arrays))
+        object.__setattr__(self, "noise", noise)
+        for what, size in (("input_offset", m), ("output_offset", p)):
+            value = np.asarray(getattr(self, what), dtype=np.float64)
+            value = np.zeros(size) if value.size == 0 else value
+            if value.shape != (size,):
+                raise ModelError(f"{self.name}: {what} has shape {value.shape}", expected=f"({size},)")
+            object.__setattr__(self, what, value)
+        delays = tuple(int(d) for d in self.delays) or (0,) * m
+        if len(delays) != m or min(delays, default=0) < 0:
+            raise ModelError(f"{self.name}: delays {delays}", expected=f"{m} whole numbers >= 0")
+        object.__setattr__(self, "delays", delays)
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return self.matrices.order
+
+    @property
+    def states(self) -> Layout:
+        """x1 .. xn; they have no physical meaning unless the model was built from physics."""
+        return Layout([Signal(name=f"x{i + 1}", unit="1") for i in range(self.order)])
+
+    @property
+    def error_states(self) -> Layout:
+        """The states themselves."""
+        return self.states
+
+    @property
+    def innovations(self) -> Layout:
+        """One per output."""
+        return self.outputs
+
+    @property
+    def innovation_columns(self) -> tuple[tuple[str, ...], ...]:
+        """Each innovation needs the output of its own name."""
+        return tuple((n,) for n in self.outputs.names)
+
+    @property
+    def noises(self) -> Layout:
+        """The innovations e: they enter the state through K and the output directly, with covariance `noise`."""
+        return self.outputs
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """As many earlier commands as the longest delay."""
+        return (max(self.delays, default=0), 0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All entries of A, B, C, D, K as A.1.1, A.1.2, ...; nominal = the value here. Redundant if all are freed."""
+        return tuple(
+            Parameter(
+                name=f"{what}.{i + 1}.{j + 1}",
+                unit="1",
+                nominal=float(v),
+                scale=max(abs(float(v)), 1e-3),
+                meaning=f"entry of {what}",
+            )
+            for what, matrix in zip("ABCDK", self.matrices)
+            for (i, j), v in np.ndenumerate(matrix)
+        )
+
+    def _unpacked(self, p: Expr) -> list[Expr]:
+        out, first = [], 0
+        for matrix in self.matrices:
+            rows, columns = matrix.shape
+            count = rows * columns
+            part = p[first : first + count]
+            out.append(ca.reshape(part, columns, rows).T if count else ca.DM.zeros(rows, columns))
+            first += count
+        return out
+
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
+        """The next state (the model is discrete) at the command u (m,), without noise and without delay."""
+        a, b, _, _, _ = self._unpacked(p)
+        return a @ x + b @ (u - self.input_offset)
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
+        """Outputs (p,) without noise at the command u."""
+        _, _, c, d, _ = self._unpacked(p)
+        return c @ x + d @ (u - self.input_offset) + self.output_offset
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Next state with innovation w; `dt` is the sample time of the model and is not used."""
+        return self.f(t, x, self._delayed(window), p) + self._unpacked(p)[4] @ w
+
+    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Outputs with innovation w."""
+        return self.h(t, x, self._delayed(window), p) + w
+
+    def _delayed(self, window: Expr) -> Expr:
+        past = self.window[0]
+        return ca.vertcat(*[window[i, past - d] for i, d in enumerate(self.delays)])
+
+    def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
+        """y - y_hat."""
+        return y - y_hat
+
+    def boxplus(self, x: Expr, d: Expr) -> Expr:
+        """x + d."""
+        return x + d
+
+    def boxminus(self, x2: Expr, x1: Expr) -> Expr:
+        """x2 - x1."""
+        return x2 - x1
+
+    def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Zero, with the spread of the stationary state under unit white inputs (1 where A is not stable)."""
+        a, b, _, _, k = self.matrices
+        if spectral_radius(a) >= 1.0 or self.order == 0:
+            return np.zeros(self.order), np.ones(self.order)
+        stationary = sla.solve_discrete_lyapunov(a, b @ b.T + k @ self.noise @ k.T)
+        return np.zeros(self.order), np.sqrt(np.maximum(np.diag(stationary), 1e-12))
+
+    def to_control(self, *, include_delays: bool = False) -> Any:
+        """`control.StateSpace` from u to y (deviations from the operating point), with names and dt.
+
+        With `include_delays` every sample of delay becomes a state; without, a model with delays is refused with
+        `ModelError`, because a silent loss of delay would give wrong margins.
+        """
+        import control
+
+        a, b, c, d, _ = self.matrices
+        if any(self.delays):
+            if not include_delays:
+                raise ModelError(
+                    f"{self.name}: input delays {self.delays} are not part of A, B, C, D",
+                    fix="to_control(include_delays=True)",
+                )
+            a, b, c, d = _with_delays(a, b, c, d, self.delays)
+        return control.StateSpace(
+            a,
+            b,
+            c,
+            d,
+            self.dt,
+            inputs=list(self.inputs.names),
+            outputs=list(self.outputs.names),
+            name=_plain(self.name),
+        )
+
+    @staticmethod
+    def from_control(
+        system: Any, *, gain: FloatArray | None = None, noise: FloatArray | None = None, dt: float | None = None
+    ) -> LinearModel:
+        """From `control.StateSpace`; K defaults to 0 and Lambda to the identity.
+
+        A continuous system needs `dt` [s] and is sampled with the input held. Raises `ModelError` without one.
+        """
+        import control
+
+        if system.dt == 0:
+            if dt is None:
+                raise ModelError("a continuous system needs a sample time", fix="from_control(system, dt=0.01)")
+            system = control.c2d(system, dt, method="zoh")
+        step = float(system.dt if dt is None and system.dt is not True else (dt or 1.0))
+        a, b, c, d = (np.atleast_2d(np.asarray(v, dtype=float)) for v in (system.A, system.B, system.C, system.D))
+        n, p = a.shape[0], c.shape[0]
+        return LinearModel(
+            name=str(system.name or "linear"),
+            matrices=Matrices(a, b, c, d, np.zeros((n, p)) if gain is None else np.asarray(gain)),
+            noise=np.eye(p) if noise is None else noise,
+            dt=step,
+            inputs=Layout([Signal(name=n, unit="1") for n in system.input_labels]),
+            outputs=Layout([Signal(name=n, unit="1") for n in system.output_labels]),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON value with schema and checksum."""
+        body: dict[str, Any] = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "comment": self.comment,
+            "dt": self.dt,
+            "inputs": [{"name": s.name, "unit": s.unit} for s in self.inputs],
+            "outputs": [{"name": s.name, "unit": s.unit} for s in self.outputs],
+            "delays": list(self.delays),
+            "input_offset": self.input_offset,
+            "output_offset": self.output_offset,
+            **{what: matrix for what, matrix in zip("ABCDK", self.matrices)},
+            "Lambda": self.noise,
+        }
+        plain: dict[str, Any] = to_plain(body)
+        return {**plain, "checksum": checksum(plain)}
+
+    @staticmethod
+    def from_dict(value: Mapping[str, Any], *, where: str = "model") -> LinearModel:
+        """The inverse of `to_dict`. Raises `FileFormatError` for missing fields or a wrong checksum."""
+        body = {k: v for k, v in value.items() if k != "checksum"}
+        if value.get("checksum") != checksum(body):
+            raise FileFormatError(
+                "checksum does not fit the content", where=where, fix="fit again; do not edit by hand"
+            )
+        try:
+            m, p = len(body["inputs"]), len(body["outputs"])
+            n = len(body["A"])
+            shapes = ((n, n), (n, m), (p, n), (p, m), (n, p))
+            matrices = Matrices(*[np.asarray(body[w], dtype=float).reshape(s) for w, s in zip("ABCDK", shapes)])
+            return LinearModel(
+                name=body["name"],
+                comment=body.get("comment", ""),
+                matrices=matrices,
+                noise=np.asarray(body["Lambda"], dtype=float),
+                dt=float(body["dt"]),
+                inputs=Layout([Signal(name=s["name"], unit=s["unit"]) for s in body["inputs"]]),
+                outputs=Layout([Signal(name=s["name"], unit=s["unit"]) for s in body["outputs"]]),
+                delays=tuple(body["delays"]),
+                input_offset=np.asarray(body["input_offset"], dtype=float),
+                output_offset=np.asarray(body["output_offset"], dtype=float),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileFormatError(f"not a linear model ({error})", where=where) from None
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write JSON (schema greybox.linear_model/1), atomically."""
+        return write_json(path, self.to_dict())
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> LinearModel:
+        """Read what `save` wrote. Raises `FileFormatError`."""
+        return LinearModel.from_dict(read_json(path, schema=SCHEMA), where=str(path))
+
+
+def _with_delays(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, delays: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Shift registers in front of every delayed input."""
+    n, m = b.shape
+    total = n + sum(delays)
+    big_a, big_b = np.zeros((total, total)), np.zeros((total, m))
+    big_c, big_d = np.zeros((len(c), total)), np.zeros_like(d)
+    big_a[:n, :n], big_c[:, :n] = a, c
+    position = n
+    for i, length in enumerate(delays):
+        if length == 0:
+            big_b[:n, i], big_d[:, i] = b[:, i], d[:, i]
+            continue
+        last = position + length - 1
+        big_b[position, i] = 1.0
+        for j in range(position, last):
+            big_a[j + 1, j] = 1.0
+        big_a[:n, last], big_c[:, last] = b[:, i], d[:, i]
+        position += length
+    return big_a, big_b, big_c, big_d
+
+
+def _plain(name: str) -> str:
+    return "".join(ch if ch.isalnum() or ch == "_" else "_" for ch in name) or "linear"
