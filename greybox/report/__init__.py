@@ -1,1 +1,1 @@
-"""Reports: figures and one self-contained HTML file."""
+"""Reports: one self-contained HTML file that a person likes to read, built from plain data."""

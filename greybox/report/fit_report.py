@@ -1,0 +1,205 @@
+"""The report of a fit: from fit.json (greybox.fit/1), time series and a validation result to one HTML page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from greybox.report import figures
+from greybox.report.flight_section import FlightSeries, flight_section
+from greybox.report.html import Cell, Key, Report, Share, Tag
+from greybox.report.validation_sections import horizon_section, residual_section
+from greybox.report.words import interval, number, rounded, strong_correlations
+
+_SHOWN = 40
+
+
+def fit_report(
+    fit: Mapping[str, Any],
+    flights: Mapping[str, FlightSeries] | None = None,
+    validation: Mapping[str, Any] | None = None,
+    *,
+    title: str | None = None,
+) -> str:
+    """The page of a fit. `fit` follows schemas/fit.json, `validation` schemas/validate.json; both may lack options.
+
+    `flights` maps flight names to their time series. Raises `KeyError` where a required field of `fit` is missing.
+    """
+    model, status = fit["model"], fit["status"]
+    seconds = sum(f.get("seconds") or 0.0 for f in fit["flights"])
+    count = len(fit["flights"])
+    subtitle = (
+        f"{count} flight{'s' * (count != 1)}, {number(seconds, 3)} s of data, {len(fit['parameters'])} parameters"
+    )
+    report = Report(title or f"Fit of {model['name']}", subtitle)
+    if not status["converged"]:
+        report.warning(f"The fit did not converge: {status['advice']}")
+    texts = [*fit.get("warnings", []), *fit.get("unidentifiable", []), *(validation or {}).get("warnings", [])]
+    for text in dict.fromkeys(texts):
+        report.warning(text)
+    _what(report, fit)
+    _parameters(report, fit)
+    _per_flight(report, fit)
+    if validation:
+        horizon_section(report, validation)
+    flight_section(report, flights or {})
+    if validation:
+        residual_section(report, validation)
+    _identifiability(report, fit)
+    _reproduce(report, fit)
+    return report.html()
+
+
+def _what(report: Report, fit: Mapping[str, Any]) -> None:
+    model, status, cost = fit["model"], fit["status"], fit.get("cost", {})
+    report.section("What was fitted")
+    if status["converged"]:
+        report.verdict(status["advice"])
+    else:
+        report.paragraph(status["advice"])
+    settings = fit.get("settings", {})
+    names = {"predictor": "Predictor", "criterion": "Criterion", "solver": "Solver", "initialisation": "Started from"}
+    rows = [("Model", model["name"]), ("Effects", ", ".join(model.get("effects", [])) or "none")]
+    for key, label in (("states", "States"), ("inputs", "Inputs"), ("outputs", "Outputs")):
+        if model.get(key):
+            rows.append((label, ", ".join(model[key])))
+    rows += [(names.get(k, k.replace("_", " ").capitalize()), _plain(v)) for k, v in settings.items()]
+    effort = [f"{status['iterations']} iterations" if status.get("iterations") is not None else ""]
+    effort.append(f"{number(status['seconds'], 3)} s" if status.get("seconds") is not None else "")
+    rows.append(("Solver's end", ", ".join(t for t in [str(status.get("code", "")), *effort] if t)))
+    if cost:
+        labels = {"loglik": "log likelihood", "n_samples": "samples", "n_parameters": "free parameters"}
+        text = [f"{labels.get(k, k.upper())} {number(v, 7)}" for k, v in cost.items() if isinstance(v, (int, float))]
+        rows.append(("Cost", ", ".join(text)))
+    report.facts(rows)
+    body: list[list[Cell]] = [
+        [f["name"], f.get("samples"), number(f.get("seconds"), 4), "; ".join(f.get("notes", []))]
+        for f in fit["flights"]
+    ]
+    report.table(["flight", "samples", "seconds", "notes"], body, numeric=(1, 2))
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} = {_plain(v)}" for k, v in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_plain(v) for v in value)
+    return "none" if value is None else str(value)
+
+
+def _prior(parameter: Mapping[str, Any]) -> str:
+    prior = parameter.get("prior")
+    if not prior:
+        return "none"
+    sigma = prior.get("sigma")
+    if sigma is None or not math.isfinite(sigma):
+        return f"{number(prior['value'])}, free"
+    return f"{number(prior['value'])} ± {number(sigma, 2)}" if sigma > 0 else f"{number(prior['value'])}, exact"
+
+
+def _notes(parameter: Mapping[str, Any]) -> Cell:
+    if parameter.get("at_bound"):
+        return Tag(text="at bound")
+    if (parameter.get("prior_influence") or 0.0) >= 0.5:
+        return Tag(text="prior decides")
+    return "per flight" if parameter.get("per_flight") else None
+
+
+def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
+    report.section("Parameters")
+    body: list[list[Cell]] = []
+    for name, p in fit["parameters"].items():
+        std = None if p.get("at_bound") else p.get("std")
+        value, spread = rounded(p["value"], std)
+        influence = p.get("prior_influence")
+        share: Cell = None if influence is None else Share(value=float(influence))
+        body.append([name, value, spread, interval(p["value"], std), p.get("unit", ""), _prior(p), share, _notes(p)])
+    heads = ["parameter", "estimate", "std", "95 % interval", "unit", "prior", "decided by prior", ""]
+    report.table(
+        heads,
+        body,
+        numeric=(1, 2, 3, 6),
+        caption="Decided by prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
+        "A parameter at its bound has no standard deviation: its interval is one-sided. Of per-flight parameters the "
+        "mean over flights is shown.",
+    )
+    noise = fit.get("noise") or {}
+    if noise:
+        with report.details(f"Noise levels ({len(noise)})"):
+            rows: list[list[Cell]] = []
+            for name, p in noise.items():
+                value, spread = rounded(p["value"], p.get("std"))
+                rows.append([name, value, spread, interval(p["value"], p.get("std")), p.get("unit", "")])
+            report.table(["noise", "estimate", "std", "95 % interval", "unit"], rows, numeric=(1, 2, 3))
+
+
+def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
+    chosen = {n: p for n, p in fit["parameters"].items() if p.get("per_flight")}
+    if not chosen:
+        return
+    report.section("Per-flight parameters")
+    panels = []
+    for name, p in list(chosen.items())[:_SHOWN]:
+        names = list(p["per_flight"])
+        values = [v["value"] for v in p["per_flight"].values()]
+        stds = [math.nan if v.get("std") is None else v["std"] for v in p["per_flight"].values()]
+        mark = p["prior"]["value"] if p.get("prior") else None
+        figure = figures.dot_plot(names, values, stds, title=name, unit=p.get("unit", ""), mark=mark)
+        panels.append((figure, f"{name} of each flight with 95 % intervals"))
+    key = [Key(text="estimate with 95 % interval", colour="c1"), Key(text="prior", colour="muted", stroke="dash")]
+    report.figures(panels, caption="One value per flight; a spread beyond the bars is a real difference.", key=key)
+    with report.details("The numbers"):
+        flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
+        rows: list[list[Cell]] = []
+        for flight in flights:
+            cells: list[Cell] = []
+            for p in chosen.values():
+                v = p["per_flight"].get(flight)
+                cells.append(None if v is None else " ± ".join(rounded(v["value"], v.get("std"))))
+            rows.append([flight, *cells])
+        heads = ["flight", *(f"{n} [{p.get('unit', '')}]" for n, p in chosen.items())]
+        report.table(heads, rows, numeric=range(1, len(heads)))
+
+
+def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
+    report.section("What the data can and cannot tell")
+    texts = list(fit.get("unidentifiable", []))
+    bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
+    if bound:
+        texts.append(f"At a bound: {', '.join(bound)}. The data ask for values outside what the vehicle file allows.")
+    prior = [n for n, p in fit["parameters"].items() if (p.get("prior_influence") or 0.0) >= 0.5]
+    if prior:
+        texts.append(f"Mostly decided by the prior, not by these flights: {', '.join(prior)}.")
+    correlations = fit.get("correlations") or {}
+    names, matrix = correlations.get("names", []), correlations.get("matrix", [])
+    pairs = strong_correlations(names, matrix)
+    texts += pairs[:10]
+    if len(pairs) > 10:
+        texts.append(f"{len(pairs) - 10} more pairs are correlated by 0.9 or more; see the figure.")
+    if texts:
+        report.bullets(texts)
+    else:
+        report.verdict("Every free parameter is determined by the data, and no two are hard to tell apart.")
+    if len(names) > 1:
+        filled = [[math.nan if v is None else v for v in row] for row in matrix]
+        report.figure(
+            figures.heat_map(names, filled),
+            caption="Correlations of the estimates; blue positive, orange negative, numbers from 0.3 upward.",
+            alt="Matrix of the correlations between parameter estimates",
+        )
+
+
+def _reproduce(report: Report, fit: Mapping[str, Any]) -> None:
+    report.section("How to reproduce this")
+    if fit.get("command"):
+        report.code(str(fit["command"]))
+    rows = [("Data", str(fit["data_hash"]))] if fit.get("data_hash") else []
+    rows += [(f"File {f['name']}", str(f["sha256"])) for f in fit["flights"] if f.get("sha256")]
+    rows += [(str(k), str(v)) for k, v in (fit.get("versions") or {}).items()]
+    if rows:
+        report.facts(rows)

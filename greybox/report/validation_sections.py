@@ -1,0 +1,216 @@
+"""Sections of a report that show a validation result (greybox.validate/1): errors against horizon, residual tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from greybox.report import figures
+from greybox.report.html import Cell, Key, Report, Tag
+from greybox.report.svg import SERIES
+from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
+
+ROWS = (
+    ("model", "model", SERIES[0], "-", Key(text="model", colour="c1")),
+    (
+        "measured_start",
+        "model, from the measured state",
+        SERIES[4],
+        "--",
+        Key(text="model, from the measured state", colour="c5", stroke="dash"),
+    ),
+    (
+        "persistence",
+        "persistence (ceiling)",
+        SERIES[3],
+        "--",
+        Key(text="persistence: last value held (ceiling)", colour="c4", stroke="dash"),
+    ),
+    (
+        "dead_reckoning",
+        "dead reckoning (floor)",
+        SERIES[2],
+        ":",
+        Key(text="dead reckoning with the measured IMU (floor)", colour="c3", stroke="dots"),
+    ),
+)
+
+
+def _tables(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Multi-step tables by row name, the model's first."""
+    found: dict[str, Mapping[str, Any]] = {"model": validation}
+    found.update({k: validation[k] for k, *_ in ROWS[1:] if validation.get(k)})
+    return found
+
+
+def _curve(validation: Mapping[str, Any], row: str, group: str) -> tuple[list[float], list[float | None]]:
+    """(seconds, mean absolute error) of one row: the full curve where it was kept, else the listed horizons."""
+    table = _tables(validation)[row]
+    listed = [(h["h"], h["seconds"], h["groups"][group]["mae"]) for h in table["horizons"] if group in h["groups"]]
+    curve = validation.get("curves", {}).get(row, {}).get(group)
+    if curve and listed:
+        dt = listed[0][1] / listed[0][0]
+        return [dt * (i + 1) for i in range(len(curve))], list(curve)
+    return [s for _, s, _ in listed], [m for *_, m in listed]
+
+
+def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
+    """Error against horizon for every group, with persistence as ceiling and dead reckoning as floor, and the table."""
+    report.section("How far ahead it predicts")
+    flights = [f["name"] for f in validation.get("flights", [])]
+    adapted = validation.get("adapted_on")
+    text = f"Open loop from every sample of {len(flights)} flight{'s' * (len(flights) != 1)} ({', '.join(flights)}): "
+    text += "the recorded commands drive the model, and nothing that was measured after the start is used."
+    if adapted:
+        spent = number(adapted["seconds"])
+        text += f" Per-flight parameters were adapted on the first {spent} s of each flight and frozen."
+    report.paragraph(text)
+    tables = _tables(validation)
+    groups = list(dict.fromkeys(g for h in validation["horizons"] for g in h["groups"]))
+    units = {g: h["groups"][g]["unit"] for h in validation["horizons"] for g in h["groups"]}
+    rows = [r for r in ROWS if r[0] in tables]
+    panels: list[tuple[Figure, str]] = []
+    for g in groups:
+        seconds: list[float] = []
+        curves = {}
+        for name, label, colour, style, _ in rows:
+            x, y = _curve(validation, name, g)
+            if y:
+                curves[label] = (y, colour, style)
+                seconds = max(seconds, x, key=len)
+        title = g.replace("_", " ")
+        alt = f"Mean absolute {title} error against the prediction horizon, logarithmic axes, for {', '.join(curves)}"
+        panels.append((figures.error_growth(seconds, curves, unit=units[g], title=title), alt))
+    if panels:
+        report.figures(
+            panels,
+            caption="Mean of the error's vector norm (rotation: geodesic angle) over all origins that have every step.",
+            key=[r[4] for r in rows],
+        )
+    with report.columns():
+        _horizon_tables(report, validation, groups, units)
+    report.paragraph("SimErr is the sum of the mean absolute error over the first 50 steps.")
+    _one_step(report, validation)
+
+
+def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[str], units: Mapping[str, str]) -> None:
+    tables = _tables(validation)
+    horizons = [h["h"] for h in validation["horizons"]]
+    for g in groups:
+        body: list[list[Cell]] = []
+        for name, label, *_ in (r for r in ROWS if r[0] in tables):
+            listed = {h["h"]: h["groups"].get(g) for h in tables[name]["horizons"]}
+            if not any(listed.values()):
+                continue
+            cells: list[Cell] = [number(listed[h]["mae"]) if listed.get(h) else None for h in horizons]
+            simerr = tables[name]["simerr"].get(g)
+            body.append([label, *cells, number(simerr) if g in tables[name]["simerr"] else None])
+        seconds_of = {h["h"]: h["seconds"] for h in validation["horizons"]}
+        heads = [f"{g.replace('_', ' ')} [{units[g]}]", *(f"{number(seconds_of[h])} s" for h in horizons), "SimErr"]
+        report.table(heads, body, numeric=range(1, len(heads)))
+
+
+def _one_step(report: Report, validation: Mapping[str, Any]) -> None:
+    metrics = validation.get("one_step") or {}
+    coverage = validation.get("coverage") or {}
+    if not metrics:
+        return
+    report.heading("One step ahead")
+    levels = sorted({c["nominal"] for cs in coverage.values() for c in cs})
+    body: list[list[Cell]] = []
+    for name, m in metrics.items():
+        inside = {c["nominal"]: c for c in coverage.get(name, [])}
+        cells: list[Cell] = []
+        for level in levels:
+            c = inside.get(level)
+            text = None if c is None else f"{100 * c['fraction']:.1f} %"
+            cells.append(Tag(text=text) if c is not None and text and not c.get("honest", True) else text)
+        unit = m.get("unit") or ""
+        body.append([name, unit, number(m["rmse"]), number(m["r2"]), number(m["fit"], 3), number(m["vaf"], 3), *cells])
+    heads = ["channel", "unit", "RMSE", "R\N{SUPERSCRIPT TWO}", "fit [%]", "VAF [%]"]
+    heads += [f"inside {100 * level:g} %" for level in levels]
+    caption = "Marked where the stated interval covers more or fewer samples than chance allows." if levels else ""
+    report.table(heads, body, numeric=range(2, len(heads)), caption=caption)
+
+
+def residual_section(report: Report, validation: Mapping[str, Any], *, worst: int = 6) -> None:
+    """Autocorrelation with bands, correlation with past inputs, and the tests; nothing where none was computed."""
+    whiteness, cross = validation.get("whiteness"), validation.get("cross_correlation")
+    if not whiteness and not cross:
+        return
+    report.section("What is left in the innovations")
+    if whiteness:
+        text = whiteness_verdict(whiteness)
+        (report.verdict if text.startswith("No ") else report.paragraph)(text)
+        lags = list(range(1, whiteness["max_lag"] + 1))
+        panels = [
+            (
+                figures.correlogram(lags, c["r"], c["band"], title=name),
+                f"Autocorrelation of the innovation {name}, {100 * c['outside']:.0f} % of lags outside the band",
+            )
+            for name, c in whiteness["channels"].items()
+        ]
+        report.figures(
+            panels,
+            caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} % of the lags of "
+            "white noise lie; orange: outside.",
+        )
+        body: list[list[Cell]] = [
+            [
+                name,
+                c["n"],
+                f"{c['std']:.2f}" if "std" in c else None,
+                f"{100 * c['outside']:.0f} %",
+                f"{100 * c['predictable']:.1f} %",
+                number(c["q"]),
+                c["dof"],
+                p_value(c["p_value"]),
+            ]
+            for name, c in whiteness["channels"].items()
+        ]
+        joint = whiteness.get("multivariate")
+        if joint:
+            joint_cells = [number(joint["q"]), joint["dof"], p_value(joint["p_value"])]
+            body.append(["all together", joint["n"], None, None, None, *joint_cells])
+        heads = ["innovation", "samples", "normalised std", "lags outside", "predictable", "Q", "dof", "p"]
+        report.table(
+            heads,
+            body,
+            numeric=range(1, len(heads)),
+            caption="Ljung-Box test per channel, Hosking's for all channels. The normalised standard deviation is 1 "
+            "for the right noise model; 'predictable' is the share of variance that the past of the channel explains.",
+        )
+    if cross:
+        _cross(report, cross, worst)
+
+
+def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
+    report.heading("Innovations against inputs")
+    text = cross_verdict(cross)
+    (report.verdict if text.startswith("Past inputs explain no") else report.paragraph)(text)
+    shown = sorted(cross["pairs"], key=lambda p: p["p_value"])[:worst]
+    panels = [
+        (
+            figures.correlogram(cross["lags"], p["r"], p["band"], title=f"{p['innovation']} and {p['input']}"),
+            f"Correlation of innovation {p['innovation']} with input {p['input']} over lags",
+        )
+        for p in shown
+    ]
+    more = f" The {len(shown)} most suspicious of {len(cross['pairs'])} pairs." if len(cross["pairs"]) > worst else ""
+    caption = f"Input before innovation at positive lags; grey: {100 * cross['level']:g} % band if independent.{more} "
+    report.figures(panels, caption=caption + cross["note"])
+    inputs = list(dict.fromkeys(p["input"] for p in cross["pairs"]))
+    table = {(p["innovation"], p["input"]): p["p_value"] for p in cross["pairs"]}
+    rows: list[list[Cell]] = []
+    for name in dict.fromkeys(p["innovation"] for p in cross["pairs"]):
+        values = [table.get((name, i)) for i in inputs]
+        limit = 0.01 / len(cross["pairs"])
+        rows.append([name, *(Tag(text=p_value(v)) if v is not None and v < limit else p_value(v) for v in values)])
+    report.table(
+        ["innovation", *inputs],
+        rows,
+        numeric=range(1, len(inputs) + 1),
+        caption="p-values over all positive lags; marked where significant after correction for the number of pairs.",
+    )
