@@ -83,7 +83,7 @@ def averaged(
 
 
 def continuous_signs(quaternions: FloatArray) -> tuple[FloatArray, int]:
-    """Quaternions (N, 4) with signs such that neighbours agree (missing rows skipped), and how many changes that took."""
+    """Quaternions (N, 4) with signs such that neighbours agree (missing rows skipped); how many changes that took."""
     out = quaternions.copy()
     known = np.flatnonzero(np.isfinite(out).all(axis=1))
     if known.size < 2:

@@ -1,0 +1,35 @@
+"""`greybox check`: look for data faults in flight logs before anything is fitted to them."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command to the parser."""
+    parser = subparsers.add_parser(
+        "check",
+        help="look for data faults in flight logs",
+        description="Look for faults of clock, units, frames, motor order and alignment. "
+        "Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
+    )
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight log (.csv or .csv.gz)")
+    parser.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    parser.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a fit."""
+    from greybox.data.checks import check_logs
+    from greybox.files import dump_json, write_json
+    from greybox.model.vehicle import read_vehicle
+
+    report = check_logs(arguments.logs, read_vehicle(arguments.vehicle))
+    if arguments.json == "-":
+        print(dump_json(report.to_dict()), end="")
+    else:
+        if arguments.json:
+            write_json(arguments.json, report.to_dict())
+        print(report.summary())
+    return 0 if report.ok else 1

@@ -1,0 +1,108 @@
+"""The data-fault gate: one check = one file; a fault is reported as a fault before anything is called physics."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from greybox.data.airframe import Airframe
+from greybox.data.checks import (
+    alignment,
+    attitude,
+    clock,
+    excitation,
+    frozen,
+    gaps,
+    gravity,
+    motors,
+    ranges,
+    saturation,
+)
+from greybox.data.checks.finding import (
+    SEVERITIES,
+    Check,
+    CheckReport,
+    Finding,
+    FlightSummary,
+    Severity,
+    Unjudged,
+)
+from greybox.data.checks.view import View
+from greybox.data.dataset import Dataset, Flight
+from greybox.data.logs import read_table
+from greybox.data.raw import RawLog
+from greybox.errors import DataError
+
+__all__ = ["CHECKS", "Check", "CheckReport", "Finding", "FlightSummary", "Severity", "Unjudged", "check", "check_logs"]
+
+CHECKS: tuple[Check, ...] = (
+    clock.CHECK,
+    gaps.CHECK,
+    frozen.CHECK,
+    ranges.CHECK,
+    saturation.CHECK,
+    gravity.CHECK,
+    attitude.CHECK,
+    motors.CHECK,
+    alignment.CHECK,
+    excitation.CHECK,
+)
+"""All checks, in the order in which they are made."""
+
+
+def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
+    """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows faults of its clock.
+
+    Raises `DataError` where two logs have the same name.
+    """
+    logs = [_as_raw(f) for f in data] if isinstance(data, Dataset) else list(data)
+    names = [log.flight for log in logs]
+    double = sorted({n for n in names if names.count(n) > 1})
+    if double:
+        raise DataError(f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own name")
+    findings: list[Finding] = []
+    unjudged: list[Unjudged] = []
+    flights: list[FlightSummary] = []
+    for log in logs:
+        view = View(raw=log, vehicle=vehicle)
+        for one in CHECKS:
+            for outcome in one.run(view):
+                if isinstance(outcome, Finding):
+                    findings.append(outcome)
+                else:
+                    unjudged.append(outcome)
+        flights.append(
+            FlightSummary(
+                name=log.flight,
+                source=log.source,
+                sha256=log.sha256,
+                rows=log.n,
+                duration=float(np.max(log.t) - np.min(log.t)),
+                rate=view.rate,
+            )
+        )
+    findings.sort(key=lambda f: SEVERITIES.index(f.severity))
+    return CheckReport(
+        vehicle=vehicle.name, flights=tuple(flights), findings=tuple(findings), not_judged=tuple(unjudged)
+    )
+
+
+def check_logs(paths: Iterable[str | os.PathLike[str]], vehicle: Airframe) -> CheckReport:
+    """Read logs and look for data faults, those of the clock included. Raises what `read_table` raises."""
+    return check([read_table(p, vehicle) for p in paths], vehicle)
+
+
+def _as_raw(flight: Flight) -> RawLog:
+    t = np.concatenate([s.t for s in flight.segments])
+    return RawLog(
+        t=t,
+        channels={n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels},
+        extra={},
+        rows=np.arange(1, t.size + 1, dtype=np.int64),
+        flight=flight.name,
+        source=flight.source,
+        sha256=flight.sha256,
+        noncausal=flight.noncausal,
+    )

@@ -1,0 +1,123 @@
+"""Findings: what a data-fault check saw, where, with which numbers, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from greybox.data.checks.view import View
+
+Severity = Literal["info", "warning", "blocking"]
+SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
+
+SCHEMA = "greybox.check/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One observation. `where` names channels, rows or times; `evidence` are numbers with the unit in their name.
+
+    "blocking": a fit on this log would be wrong; "warning": it may be; "info": worth knowing.
+    """
+
+    check: str
+    severity: Severity
+    flight: str
+    where: str
+    message: str
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    fix: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unjudged:
+    """A check that could not be made on a flight, and why."""
+
+    check: str
+    flight: str
+    reason: str
+
+
+Outcome = Finding | Unjudged
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One check: its name, the question it answers, and the function that answers it for one flight."""
+
+    name: str
+    question: str
+    run: Callable[[View], Iterable[Outcome]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightSummary:
+    """What was checked: rows, time span [s] and rate [Hz] of one log."""
+
+    name: str
+    source: str
+    sha256: str
+    rows: int
+    duration: float
+    rate: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckReport:
+    """All findings of a set of flights, the most severe first, and the checks that could not be made."""
+
+    vehicle: str
+    flights: tuple[FlightSummary, ...]
+    findings: tuple[Finding, ...]
+    not_judged: tuple[Unjudged, ...]
+
+    @property
+    def blocking(self) -> tuple[Finding, ...]:
+        """The findings that forbid a fit."""
+        return tuple(f for f in self.findings if f.severity == "blocking")
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing forbids a fit."""
+        return not self.blocking
+
+    def of(self, check: str, flight: str | None = None) -> tuple[Finding, ...]:
+        """The findings of one check (on one flight)."""
+        return tuple(f for f in self.findings if f.check == check and flight in (None, f.flight))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for the result file, schema "greybox.check/1"."""
+        return {
+            "schema": SCHEMA,
+            "vehicle": self.vehicle,
+            "verdict": self.verdict,
+            "counts": {s: sum(f.severity == s for f in self.findings) for s in SEVERITIES},
+            "flights": [vars(f) for f in self.flights],
+            "findings": [{**vars(f), "evidence": dict(f.evidence)} for f in self.findings],
+            "not_judged": [vars(u) for u in self.not_judged],
+        }
+
+    @property
+    def verdict(self) -> str:
+        """ "blocking", "warnings" or "clean"."""
+        if self.blocking:
+            return "blocking"
+        return "warnings" if any(f.severity == "warning" for f in self.findings) else "clean"
+
+    def summary(self) -> str:
+        """The report as text for a terminal."""
+        lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}"]
+        for finding in self.findings:
+            numbers = ", ".join(f"{k} = {v:.4g}" for k, v in finding.evidence.items())
+            lines.append(f"{finding.severity:8s} {finding.flight} [{finding.check}] {finding.where}: {finding.message}")
+            if numbers and finding.severity != "info":
+                lines.append(f"         {numbers}")
+            if finding.fix and finding.severity != "info":
+                lines.append(f"         usual fix: {finding.fix}")
+        reasons: dict[tuple[str, str], int] = {}
+        for item in self.not_judged:
+            reasons[item.check, item.reason] = reasons.get((item.check, item.reason), 0) + 1
+        for (check, reason), count in reasons.items():
+            lines.append(f"cannot be judged: {check} ({reason}; {count} log(s))")
+        return "\n".join(lines)

@@ -1,0 +1,109 @@
+"""Check of the specific force: unit, direction of gravity, and the world's up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.signals import correlation, derivative, smoothed
+from greybox.data.checks.view import FloatArray, View
+from greybox.frames import numeric
+
+STANDARD = 9.81
+TILT = (10.0, 45.0)
+"""Angle [deg] of the mean specific force from the world's up that is worth a warning, and that blocks."""
+
+FAST = 0.2
+"""Vertical motion below this [m/s RMS] shows nothing."""
+
+
+def _finding(view: View, severity: str, message: str, fix: str, evidence: dict[str, float], where: str) -> Finding:
+    return Finding(
+        check="gravity",
+        severity="blocking" if severity == "blocking" else "warning",
+        flight=view.name,
+        where=where,
+        message=message,
+        evidence=evidence,
+        fix=fix,
+    )
+
+
+def run(view: View) -> Iterator[Finding | Unjudged]:
+    """Findings on the accelerometer's unit and signs, and on the direction of up."""
+    if not view.has("specific_force"):
+        what = "no airborne stretch" if view.flight is None else "no accelerometer"
+        yield Unjudged(check="gravity", flight=view.name, reason=what)
+        return
+    force = view.group("specific_force")
+    known = force[np.isfinite(force).all(axis=1)]
+    if known.shape[0] < 10:
+        yield Unjudged(check="gravity", flight=view.name, reason="fewer than 10 samples of specific force")
+        return
+    size = float(np.median(np.linalg.norm(known, axis=1)))
+    mean = known.mean(axis=0)
+    evidence = {"median_size": size, "mean_x": mean[0], "mean_y": mean[1], "mean_z": mean[2]}
+    straight = float(np.linalg.norm(mean)) / size if size > 0 else 0.0
+    where = "ax, ay, az"
+    if straight < 0.6:
+        text = "the specific force has no lasting direction: gravity was taken out"
+        fix = "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
+        yield _finding(view, "blocking", text, fix, {**evidence, "straightness": straight}, where)
+        return
+    share = size / STANDARD
+    if 1 / STANDARD / 2 < share < 2 / STANDARD:
+        fix = "set scale = 9.81 for ax, ay, az in [columns]"
+        yield _finding(view, "blocking", f"the specific force is in g (median size {size:.3g})", fix, evidence, where)
+    elif STANDARD / 2 < share < STANDARD * 2:
+        text = f"the specific force was scaled from g twice (median size {size:.3g})"
+        yield _finding(view, "blocking", text, "drop the scale of ax, ay, az in [columns]", evidence, where)
+    elif not 0.6 < share < 1.6:
+        text = f"the median specific force in flight is {size:.3g} m/s^2"
+        severity = "blocking" if not 0.3 < share < 3 else "warning"
+        yield _finding(view, severity, text, "check the unit of ax, ay, az in [columns]", evidence, where)
+    axis = int(np.argmax(np.abs(mean)))
+    if axis != 2 or mean[2] < 0:
+        shown = f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
+        text = f"thrust acts along {shown} of the accelerometer, not along +z"
+        fix = "turn the accelerometer to forward, left, up in [columns]; specific force at rest is (0, 0, +9.81)"
+        yield _finding(view, "blocking", text, fix, evidence, where)
+        return
+    yield from _up(view, force, evidence)
+
+
+def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[Finding]:
+    """The same in the world: mean specific force must point up, and climbing must need more of it."""
+    if view.has("attitude"):
+        quaternions = view.group("attitude")
+        known = np.isfinite(quaternions).all(axis=1) & np.isfinite(force).all(axis=1)
+        if known.sum() < 10:
+            return
+        world = np.full_like(force, np.nan)
+        world[known] = numeric("rotate", quaternions[known], force[known])
+        mean = np.nanmean(world, axis=0)
+        angle = float(np.degrees(np.arccos(mean[2] / np.linalg.norm(mean))))
+        if angle > TILT[0]:
+            text = f"the mean specific force is {angle:.0f} deg from the world's up"
+            fix = "check the quaternion (body to world, z up) and the accelerometer's axes"
+            severity = "blocking" if angle > TILT[1] else "warning"
+            yield _finding(view, severity, text, fix, {**evidence, "tilt_deg": angle}, "ax..az with qw..qz")
+    else:
+        world = force
+    name = "z" if view.flight is not None and "z" in view.flight.channels else None
+    if name is None:
+        return
+    half = max(1, round(0.1 / view.dt))
+    climb = derivative(view.joined(["z"]), view.dt, half)
+    if np.isfinite(climb).sum() < 10 or float(np.nanstd(climb)) < FAST:
+        return
+    acceleration = derivative(smoothed(climb, half), view.dt, half)
+    agreement = correlation(smoothed(world[:, 2:3], 2 * half), acceleration)
+    if agreement < -0.3:
+        text = "the craft climbs where z falls: the world's z points down"
+        fix = "negate z (and y, vz, vy: north-east-down to east-north-up) in [columns]"
+        yield _finding(view, "blocking", text, fix, {**evidence, "correlation": agreement}, "z")
+
+
+CHECK = Check(name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=run)

@@ -1,0 +1,68 @@
+"""Check of ranges: values that no such channel can have, commands out of range, quaternions not of unit length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from greybox.data.channel import channel, group_names
+from greybox.data.checks.finding import Check, Finding
+from greybox.data.checks.view import View
+
+BLOCKING_SHARE = 0.01
+COMMAND_SLACK = 0.02
+"""Commands may pass their range by this share of it."""
+
+UNIT_SLACK = 0.02
+"""Largest deviation of a quaternion's length from 1."""
+
+FIXES = {
+    "command": "scale the commands to the range of the vehicle file in [columns] (PWM 0..65535: 1.5259e-5)",
+    "rate": "check the unit: rad/s (deg/s: scale 0.0174533 in [columns])",
+    "specific_force": "check the unit: m/s^2",
+    "attitude": "check which columns hold the quaternion",
+}
+
+
+def run(view: View) -> Iterator[Finding]:
+    """Findings on values outside the plausible range."""
+    log = view.raw
+    actuator = view.vehicle.actuator
+    slack = COMMAND_SLACK * (actuator.u_max - actuator.u_min)
+    for name, values in log.channels.items():
+        declared = channel(name)
+        lower, upper = declared.lower, declared.upper
+        if declared.group == "command":
+            lower, upper = actuator.u_min - slack, actuator.u_max + slack
+        outside = np.flatnonzero((values < lower) | (values > upper))
+        if outside.size:
+            share = outside.size / max(int(np.isfinite(values).sum()), 1)
+            worst = values[outside[np.argmax(np.abs(values[outside]))]]
+            yield Finding(
+                check="ranges",
+                severity="blocking" if share > BLOCKING_SHARE else "warning",
+                flight=view.name,
+                where=f"channel {name}, row {log.rows[outside[0]]}",
+                message=f"{outside.size} value(s) outside {lower:g} .. {upper:g} {declared.unit}",
+                evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
+                fix=FIXES.get(declared.group, "check unit and scale in [columns]"),
+            )
+    names = group_names("attitude")
+    if all(n in log.channels for n in names):
+        norm = np.sqrt(sum(log.channels[n] ** 2 for n in names))
+        bad = np.flatnonzero(np.abs(norm - 1.0) > UNIT_SLACK)
+        if bad.size:
+            share = bad.size / max(int(np.isfinite(norm).sum()), 1)
+            yield Finding(
+                check="ranges",
+                severity="blocking" if share > BLOCKING_SHARE else "warning",
+                flight=view.name,
+                where=f"qw..qz, row {log.rows[bad[0]]}",
+                message=f"{bad.size} quaternion(s) not of unit length",
+                evidence={"rows": int(bad.size), "share": share, "first_norm": float(norm[bad[0]])},
+                fix="leave the cells empty where the attitude was lost; check the column names",
+            )
+
+
+CHECK = Check(name="ranges", question="Is every value possible?", run=run)

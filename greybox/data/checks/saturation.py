@@ -1,0 +1,61 @@
+"""Check of saturation: commands at their limits, sensors at the end of their range."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from greybox.data.channel import group_names
+from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.view import View
+
+SHARE = 0.01
+CLIPPED_ROWS = 5
+SENSOR_FLOOR = {"rate": 4.0, "specific_force": 18.0}
+"""A sensor that clips does so above this value [rad/s, m/s^2]."""
+
+
+def run(view: View) -> Iterator[Finding | Unjudged]:
+    """Findings on commands at u_min or u_max and on clipped sensors in flight."""
+    if view.flight is None:
+        yield Unjudged(check="saturation", flight=view.name, reason="no airborne stretch on a usable clock")
+        return
+    actuator = view.vehicle.actuator
+    tiny = 1e-3 * (actuator.u_max - actuator.u_min)
+    u = view.group("command")
+    u = u[np.isfinite(u).all(axis=1)]
+    for what, mask in (("u_max", u >= actuator.u_max - tiny), ("u_min", u <= actuator.u_min + tiny)):
+        share = float(mask.any(axis=1).mean())
+        if share > SHARE:
+            worst = int(np.argmax(mask.mean(axis=0)))
+            yield Finding(
+                check="saturation",
+                severity="warning",
+                flight=view.name,
+                where=f"channel u{worst + 1} and others",
+                message=f"a command is at {what} for {100 * share:.1f} % of the flight",
+                evidence={"share": share, f"share_u{worst + 1}": float(mask[:, worst].mean())},
+                fix="fly with more headroom (lighter craft, full battery, gentler manoeuvres)",
+            )
+    log = view.increasing
+    for group, floor in SENSOR_FLOOR.items():
+        for name in group_names(group):
+            if name not in log.channels:
+                continue
+            size = np.abs(log.channels[name])
+            top = float(np.nanmax(size))
+            clipped = int((size == top).sum())
+            if top > floor and clipped >= CLIPPED_ROWS:
+                yield Finding(
+                    check="saturation",
+                    severity="warning",
+                    flight=view.name,
+                    where=f"channel {name}, row {log.rows[int(np.nanargmax(size))]}",
+                    message=f"{clipped} row(s) at the same largest value {top:.5g}: the sensor clips",
+                    evidence={"rows": clipped, "limit": top},
+                    fix="set a larger sensor range, or leave these cells empty",
+                )
+
+
+CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=run)

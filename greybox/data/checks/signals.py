@@ -1,0 +1,105 @@
+"""Small signal tools of the checks: smoothing, derivatives, shifts and correlations that leave missing samples out."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.frames import numeric
+
+FloatArray = npt.NDArray[np.float64]
+
+MINIMUM = 10
+"""Fewer samples than this are not correlated."""
+
+
+def smoothed(values: FloatArray, half: int) -> FloatArray:
+    """Mean over 2 half + 1 samples, (N, k); missing where one of them is."""
+    width = 2 * half + 1
+    out = np.full_like(values, np.nan)
+    if half == 0 or values.shape[0] < width:
+        return values.copy() if half == 0 else out
+    known = np.isfinite(values)
+    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), np.where(known, values, 0.0)]), axis=0)
+    count = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), known.astype(np.float64)]), axis=0)
+    mean = (total[width:] - total[:-width]) / width
+    out[half:-half] = np.where(count[width:] - count[:-width] == width, mean, np.nan)
+    return out
+
+
+def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
+    """Central difference over 2 half samples, (N, k) per second."""
+    out = np.full_like(values, np.nan)
+    if values.shape[0] > 2 * half:
+        out[half:-half] = (values[2 * half :] - values[: -2 * half]) / (2 * half * dt)
+    return out
+
+
+def shifted(values: FloatArray, rows: int) -> FloatArray:
+    """out[k] = values[k - rows]: positive = later; missing at the rim."""
+    out = np.full_like(values, np.nan)
+    n = values.shape[0]
+    if rows >= n or -rows >= n:
+        return out
+    if rows > 0:
+        out[rows:] = values[:-rows]
+    elif rows < 0:
+        out[:rows] = values[-rows:]
+    else:
+        out[:] = values
+    return out
+
+
+def attitude_rate(quaternions: FloatArray, dt: float, half: int) -> FloatArray:
+    """Body rate (N, 3) [rad/s] from quaternions (N, 4): the turn over 2 half samples, divided by its time."""
+    out = np.full((quaternions.shape[0], 3), np.nan)
+    before, after = quaternions[: -2 * half], quaternions[2 * half :]
+    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    if known.any():
+        inner = np.full((before.shape[0], 3), np.nan)
+        inner[known] = numeric("difference", before[known], after[known]) / (2 * half * dt)
+        out[half:-half] = inner
+    return out
+
+
+def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> FloatArray:
+    """Correlations (L, k, k) of the columns of a (N, k) with those of b moved later by each lag.
+
+    Normalised so that the trace of a matrix is the correlation of all columns together, and that of the matrix with its
+    columns exchanged or turned round the correlation with b exchanged or turned round. Zero where too little is known.
+    """
+    n, k = a.shape
+    out = np.zeros((lags.size, k, k))
+    known_a, known_b = np.isfinite(a).all(axis=1), np.isfinite(b).all(axis=1)
+    for i, lag in enumerate(lags.tolist()):
+        first, last = max(lag, 0), min(n, n + lag)
+        if last - first < MINIMUM:
+            continue
+        x, y = a[first:last], b[first - lag : last - lag]
+        known = known_a[first:last] & known_b[first - lag : last - lag]
+        if int(known.sum()) < MINIMUM:
+            continue
+        x, y = x[known], y[known]
+        x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+        size = float(np.sqrt((x**2).sum() * (y**2).sum()))
+        if size > 0:
+            out[i] = x.T @ y / size
+    return out
+
+
+def correlation(a: FloatArray, b: FloatArray) -> float:
+    """Correlation of all columns together, (N, k) each, means removed per column; 0 where too little is known."""
+    return float(np.trace(products(a, b, np.zeros(1, dtype=np.int64))[0]))
+
+
+def best_lag(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """(lag in samples, correlation) at which b, moved later by the lag, is most like a; the lag between samples too."""
+    scores = np.trace(products(a, b, lags), axis1=1, axis2=2)
+    i = int(np.argmax(scores))
+    lag, peak = float(lags[i]), float(scores[i])
+    if 0 < i < len(lags) - 1:
+        left, right = scores[i - 1], scores[i + 1]
+        bend = left - 2 * peak + right
+        if bend < 0:
+            lag += 0.5 * float((left - right) / bend)
+    return lag, peak

@@ -1,0 +1,113 @@
+"""View: one flight as the checks see it: the raw rows, and its airborne part on a uniform clock of at most 250 Hz."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.airframe import Airframe
+from greybox.data.channel import group_names
+from greybox.data.clock import Clock, read_clock
+from greybox.data.conditioning import MAX_GAP, condition
+from greybox.data.dataset import Flight
+from greybox.data.raw import RawLog
+from greybox.errors import DataError
+
+FloatArray = npt.NDArray[np.float64]
+
+TOP_RATE = 250.0
+"""The signal checks work at this rate [Hz] at most."""
+
+PAD = 1.0
+"""Missing samples [s] put between segments, so that no lag or derivative reaches across."""
+
+RATES = (5.0, 20000.0)
+"""Sample rates [Hz] outside this range mean that the time is not in seconds."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """One flight under check. Rows with a bad time are left out of everything but `raw`."""
+
+    raw: RawLog
+    vehicle: Airframe
+
+    @property
+    def name(self) -> str:
+        """Name of the flight."""
+        return self.raw.flight
+
+    @functools.cached_property
+    def increasing(self) -> RawLog:
+        """The log without the rows whose time is not later than all times before."""
+        t = self.raw.t
+        good = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
+        return replace(
+            self.raw,
+            t=t[good],
+            channels={k: v[good] for k, v in self.raw.channels.items()},
+            extra={},
+            rows=self.raw.rows[good],
+        )
+
+    @functools.cached_property
+    def clock(self) -> Clock | None:
+        """The clock of the increasing rows; None where fewer than two are left."""
+        return read_clock(self.increasing.t, max_gap=MAX_GAP) if self.increasing.n >= 2 else None
+
+    @property
+    def rate(self) -> float:
+        """Sample rate of the log [Hz] (0 where there is none)."""
+        return 1.0 / self.clock.dt if self.clock else 0.0
+
+    @property
+    def usable_clock(self) -> bool:
+        """Whether the clock is good enough to look at signals over time."""
+        return RATES[0] <= self.rate <= RATES[1]
+
+    @functools.cached_property
+    def flight(self) -> Flight | None:
+        """The airborne part on a uniform clock; None where there is none."""
+        if not self.usable_clock:
+            return None
+        rate = TOP_RATE if self.rate > 1.2 * TOP_RATE else None
+        try:
+            return condition(self.increasing, self.vehicle, rate=rate)
+        except DataError:
+            return None
+
+    @property
+    def dt(self) -> float:
+        """Sample time of `joined` [s]."""
+        return self.flight.dt if self.flight else float("nan")
+
+    def has(self, *groups: str) -> bool:
+        """Whether every channel of these groups is in the log."""
+        names = [n for g in groups for n in group_names(g, len(self.vehicle.rotors))]
+        return self.flight is not None and all(n in self.flight.channels for n in names)
+
+    def group(self, group: str) -> FloatArray:
+        """The airborne samples of a group, (N, k), see `joined`."""
+        return self.joined(group_names(group, len(self.vehicle.rotors)))
+
+    @property
+    def time(self) -> FloatArray:
+        """Log time of the rows of `joined` (N,) [s], NaN between segments."""
+        return self._stack([s.t[:, None] for s in self.flight.segments] if self.flight else [])[:, 0]
+
+    def joined(self, names: Sequence[str]) -> FloatArray:
+        """The airborne samples (N, len(names)) of all segments, with stretches of NaN between them."""
+        return self._stack([s.matrix(names) for s in self.flight.segments] if self.flight else [])
+
+    def _stack(self, parts: Sequence[FloatArray]) -> FloatArray:
+        if not parts:
+            raise DataError("no airborne samples", where=f"flight {self.name}")
+        pad = np.full((int(np.ceil(PAD / self.dt)), parts[0].shape[1]), np.nan)
+        out = [parts[0]]
+        for part in parts[1:]:
+            out += [pad, part]
+        return np.vstack(out)
