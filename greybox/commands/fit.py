@@ -1,0 +1,186 @@
+"""`greybox fit`: from flight logs to fit.json, model.json and report.html."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+def names(text: str) -> tuple[str, ...]:
+    """A comma-separated list of names."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def noise_levels(text: str) -> dict[str, float]:
+    """name=value,name=value: noise levels in SI units, "noise." may be left out (sensor.p=0.05)."""
+    out = {}
+    for part in names(text):
+        name, _, value = part.partition("=")
+        try:
+            out[name if name.startswith("noise.") else f"noise.{name}"] = float(value)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"expected NAME=NUMBER, got '{part}'") from None
+    return out
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "fit",
+        help="fit a Newton-Euler model to flight logs",
+        description="Fit a Newton-Euler model to flight logs by the prediction error method. Writes fit.json, model.json "
+        "and report.html. Exit code 0: converged, 1: not converged, 2: bad input.",
+    )
+    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
+    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument("--effects", type=names, default=(), metavar="a,b", help="effects besides those in the vehicle file")
+    p.add_argument("--disturbance", type=names, default=(), metavar="force,torque", help="disturbance states")
+    p.add_argument("--per-flight", type=names, default=(), metavar="a,b", help="parameters with one value per flight")
+    p.add_argument("--shared", type=names, default=(), metavar="a,b", help="parameters with one value for all flights")
+    p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at their value")
+    p.add_argument("--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters")
+    p.add_argument("--predictor", default="innovation", help="innovation, kalman, k-step, multiple-shooting, simulation")
+    p.add_argument("--criterion", default="gaussian", help="gaussian, robust, least-squares")
+    p.add_argument("--solver", default="levenberg-marquardt", help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt")
+    p.add_argument("--init", default="noise", help="nominal, noise, equation-error, multistart")
+    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...", help="noise levels to start from")
+    p.add_argument("--hold-noise", action="store_true", help="hold all noise levels at their start")
+    p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
+    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
+    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--seed", type=int, default=0, help="seed of random starts")
+    p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, check, fit, validate, report."""
+    from greybox.data import Dataset
+    from greybox.data.checks import check
+    from greybox.data.logs import read_logs
+    from greybox.errors import GreyboxError
+    from greybox.estimation.fit import fit
+    from greybox.estimation.record import sample_time
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.model import build_model
+    from greybox.model.vehicle import read_vehicle
+    from greybox.report.fit_report import fit_report
+    from greybox.validation.validate import validate
+
+    quiet = arguments.json == "-"
+    say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
+    horizons = _horizons(arguments.horizons)
+    vehicle = read_vehicle(arguments.vehicle)
+    train = read_logs(arguments.train, vehicle, rate=arguments.rate)
+    test = read_logs(arguments.test, vehicle, rate=arguments.rate) if arguments.test else Dataset(flights=())
+    both = sorted(set(train.names) & set(test.names))
+    if both:
+        raise GreyboxError(
+            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+        )
+    faults = check(train, vehicle)
+    warnings = [f.message for f in faults.findings if f.severity == "blocking"]
+    model = build_model(
+        vehicle,
+        train.channels,
+        arguments.effects,
+        input=arguments.input,
+        sample_time=sample_time(train),
+        noncausal=train.noncausal,
+    )
+    say(f"{train}; model: {model.name}")
+
+    def progress(iteration: int, cost: float, decrement: float) -> None:
+        say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
+
+    result = fit(
+        model,
+        train,
+        predictor=arguments.predictor,
+        criterion=arguments.criterion,
+        solver=arguments.solver,
+        initialisation=arguments.init,
+        disturbance=arguments.disturbance,
+        free=arguments.free,
+        fixed=arguments.fixed,
+        per_flight=arguments.per_flight,
+        shared=arguments.shared,
+        noise=arguments.noise,
+        estimate_noise=not arguments.hold_noise,
+        seed=arguments.seed,
+        progress=progress,
+    )
+    content = result.to_dict()
+    content["warnings"] = [*(f"data fault: {w}" for w in warnings), *content["warnings"]]
+    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["fit"] else "greybox fit"
+    validated = test if test.flights else train
+    checked = validate(result.model, validated, horizons=horizons, adapt=arguments.adapt).to_dict()
+    if not test.flights:
+        checked.setdefault("warnings", []).insert(0, "validated on the flights that were fitted: give --test flights")
+    out = Path(arguments.out)
+    write_json(out / "fit.json", content)
+    result.model.save(out / "model.json")
+    write_json(out / "validate.json", checked)
+    page = fit_report(content, series(result.model, train, test), checked)
+    report = write_atomic(out / "report.html", page)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        print(result.summary())
+        print(f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'validate.json'} and {report}")
+    return 0 if result.converged else 1
+
+
+def _horizons(text: str) -> tuple[int, ...]:
+    from greybox.errors import GreyboxError
+
+    try:
+        values = tuple(sorted({int(part) for part in names(text)}))
+    except ValueError:
+        values = ()
+    if not values or values[0] < 1:
+        raise GreyboxError("horizons must be whole numbers of samples", got=f"'{text}'", fix="--horizons 1,10,50")
+    return values
+
+
+def series(model: Any, *datasets: Any, ahead_seconds: float = 0.5, limit: int = 3) -> dict[str, Any]:
+    """Time series of up to `limit` flights per data set for the report: measured, one step and some way ahead."""
+    import numpy as np
+
+    from greybox.estimation.filtering import Filter
+    from greybox.report.flight_section import ChannelSeries, FlightSeries
+
+    chosen: list[tuple[str, Any]] = []
+    roles: Sequence[str] = ("train", "test")
+    for role, data in zip(roles, datasets, strict=False):
+        chosen += [(role, f) for f in data.flights[:limit]]
+    runner = Filter(model)
+    steps = max(1, round(ahead_seconds / model.sample_time))
+    out: dict[str, Any] = {}
+    for role, flight in chosen:
+        segment = max(flight.segments, key=lambda s: s.n)
+        filtered = runner.run(segment)
+        origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
+        ahead = np.full_like(filtered.outputs, np.nan)
+        if origins.size:
+            ahead[origins + steps] = runner.rollout(filtered, origins, steps)[:, -1]
+        channels = {
+            signal.name: ChannelSeries(
+                measured=filtered.record.outputs[:, j],
+                unit=signal.unit,
+                one_step=filtered.outputs[:, j],
+                ahead=ahead[:, j],
+            )
+            for j, signal in enumerate(model.dynamics.outputs)
+        }
+        out[flight.name] = FlightSeries(t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role)
+    return out
