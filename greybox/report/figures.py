@@ -19,10 +19,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from greybox.errors import DataError
 from greybox.report.decimate import min_max
 from greybox.report.svg import GRID, GROUND, INK, MUTED, SERIES
+from greybox.report.words import number
 
+_SHORT = FuncFormatter(lambda v, _: number(float(v), 6))
 WIDTH = 4.1
 """Width of a panel [in]."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.62, 0.12, 0.30, 0.46
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.74, 0.14, 0.30, 0.46
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,9 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
 
 def _label(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
     axes.set_xlabel(_plain(x), fontsize=8.5, color=MUTED, labelpad=2)
-    axes.set_ylabel(_plain(y), fontsize=8.5, color=MUTED, labelpad=3)
+    axes.set_ylabel(_plain(y), fontsize=8.5, color=MUTED)
+    # At a fixed place, so that long numbers never push it off the figure.
+    axes.yaxis.set_label_coords((0.14 - _LEFT) / (WIDTH - _LEFT - _RIGHT), 0.5)
     axes.set_title(_plain(title), fontsize=9.5, color=INK, loc="left", pad=5)
 
 
@@ -91,6 +95,7 @@ def time_series(t: npt.ArrayLike, rows: Mapping[str, Sequence[Line]], *, title: 
             axes.plot(x, y, color=line.colour, linestyle=line.style, linewidth=line.width)
         axes.set_xlim(float(times[0]), float(times[-1]) if times[-1] > times[0] else float(times[0]) + 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_formatter(_SHORT)
         if i < last:
             axes.tick_params(labelbottom=False)
         _label(axes, x="time [s]" if i == last else "", y=name, title=title if i == 0 else "")
@@ -118,13 +123,13 @@ def error_growth(
     axes.set_yscale("log")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
-        axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axis.set_major_formatter(_SHORT)
         axis.set_minor_formatter(NullFormatter())
         axis.set_minor_locator(LogLocator(subs=()))
     low, high = axes.get_ylim()
     if high / low > 100:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0,), numticks=8))
-    _label(axes, x="seconds ahead", y=f"mean error [{unit}]", title=title)
+    _label(axes, x="seconds ahead", title=f"{title}: mean error [{unit}]")
     return figure
 
 
@@ -145,7 +150,8 @@ def correlogram(
         axes.axvline(0.0, color=MUTED, linewidth=0.7, linestyle=":")
     top = max(1.3 * float(np.nanmax(np.abs(y))), 2.0 * float(np.nanmax(np.where(np.isfinite(width), width, 0.0))), 1e-3)
     axes.set_ylim(-top, top)
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_formatter(_SHORT)
     _label(axes, x=unit, y="correlation", title=title)
     return figure
 
@@ -165,7 +171,7 @@ def dot_plot(
     longest = max((len(n) for n in names), default=1)
     left = min(0.25 + 0.062 * min(longest, 26), 1.9)
     figure = _figure(height)
-    axes = _axes(figure, left, _BOTTOM, WIDTH - left - _RIGHT, height - _TOP - _BOTTOM)
+    axes = _axes(figure, left, _BOTTOM, WIDTH - left - 0.28, height - _TOP - _BOTTOM)
     rows = np.arange(len(names))[::-1]
     axes.hlines(rows, centre - 1.96 * spread, centre + 1.96 * spread, color=SERIES[0], linewidth=1.6)
     axes.plot(centre, rows, "o", color=SERIES[0], markersize=4, markeredgecolor=GROUND, markeredgewidth=0.6)
@@ -174,7 +180,8 @@ def dot_plot(
     short = [n if len(n) <= 26 else n[:12] + "\N{HORIZONTAL ELLIPSIS}" + n[-13:] for n in names]
     axes.set_yticks(rows, [_plain(s) for s in short])
     axes.set_ylim(-0.7, len(names) - 0.3)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.xaxis.set_major_formatter(_SHORT)
     axes.grid(visible=False, axis="y")
     axes.set_xlabel(_plain(unit), fontsize=8.5, color=MUTED, labelpad=2)
     # The title starts at the left edge: next to long names there is no room above the axes alone.

@@ -171,7 +171,7 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
     texts = list(fit.get("unidentifiable", []))
     bound = [n for n, p in fit["parameters"].items() if p.get("at_bound")]
     if bound:
-        texts.append(f"At a bound: {', '.join(bound)}. The data ask for values outside what the vehicle file allows.")
+        texts.append(f"At a bound: {', '.join(bound)}. The data would move it further than its bounds allow.")
     prior = [n for n, p in fit["parameters"].items() if (p.get("prior_influence") or 0.0) >= 0.5]
     if prior:
         texts.append(f"Mostly decided by the prior, not by these flights: {', '.join(prior)}.")
