@@ -237,7 +237,7 @@ class LinearModel:
             "delays": list(self.delays),
             "input_offset": self.input_offset,
             "output_offset": self.output_offset,
-            **{what: matrix for what, matrix in zip("ABCDK", self.matrices)},
+            **dict(zip("ABCDK", self.matrices)),
             "Lambda": self.noise,
         }
         plain: dict[str, Any] = to_plain(body)

@@ -1,0 +1,1 @@
+"""Linear state-space identification: subspace start, prediction error polish, order, uncertainty."""

@@ -1,0 +1,235 @@
+"""Order selection: information criteria over all orders, confirmed by whiteness and by held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import DataError, GreyboxError
+from greybox.estimation.linear.pem import evaluate, start_nuisances
+from greybox.estimation.linear.records import Record
+from greybox.estimation.linear.search import Found, Options, sweep
+
+CRITERIA = ("aic", "aicc", "bic")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderRow:
+    """One order: -2 log likelihood, number of parameters, criteria, whiteness p-value, held-out log det (or NaN).
+
+    `held_out` is -2 log likelihood per sample on data that this row's rival fit never saw; `held_out_std` the standard
+    error of its difference to the best row (block bootstrap).
+    """
+
+    order: int
+    criterion: float
+    parameters: int
+    aic: float
+    aicc: float
+    bic: float
+    whiteness: float
+    converged: bool
+    held_out: float = float("nan")
+    held_out_std: float = float("nan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderChoice:
+    """The chosen order with its table, the reasons in words, and the fits of all orders (scaled units)."""
+
+    order: int
+    rule: str
+    rows: tuple[OrderRow, ...]
+    reasons: tuple[str, ...]
+    found: dict[int, Found]
+    singular_values: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, without the fits."""
+        return {
+            "order": self.order,
+            "rule": self.rule,
+            "reasons": list(self.reasons),
+            "singular_values": self.singular_values,
+            "table": [vars(r) for r in self.rows],
+        }
+
+    def format(self) -> str:
+        """A table for the terminal."""
+        lines = ["order  -2 log L      d       AIC      AICc       BIC  whiteness p  held out"]
+        for r in self.rows:
+            mark = "*" if r.order == self.order else " "
+            lines.append(
+                f"{r.order:>4}{mark} {r.criterion:>10.1f} {r.parameters:>5} {r.aic:>10.1f} {r.aicc:>9.1f} {r.bic:>9.1f}"
+                f"  {r.whiteness:>11.2g}  {r.held_out:>8.4f}"
+            )
+        return "\n".join([*lines, *self.reasons])
+
+
+def choose_order(
+    records: Sequence[Record],
+    largest: int,
+    options: Options,
+    *,
+    criterion: str = "bic",
+    cross_validate: bool = False,
+    names: Sequence[str] | None = None,
+    input_names: Sequence[str] | None = None,
+    patience: int = 3,
+) -> OrderChoice:
+    """Fit orders 1 .. largest (scaled records) and choose by `criterion`.
+
+    AIC: Akaike 1974; AICc: Hurvich and Tsai 1989; BIC: Schwarz 1978.
+
+    With `cross_validate` the orders are also fitted on about 70 % of the data (whole records where there are three or
+    more, else the first part of each) and scored on the rest: the smallest order whose held-out score is within two
+    standard errors of the best wins over a larger one that the criterion prefers. Raises `DataError` for an unknown
+    criterion or data too short for order 1.
+    """
+    if criterion not in CRITERIA:
+        raise DataError(f"order criterion '{criterion}'", expected=" or ".join(CRITERIA))
+    count = sum(len(r) for r in records)
+    largest = _affordable(records, largest)
+    penalty = np.log(count) if criterion == "bic" else 2.0
+    found = sweep(records, largest, options, patience=patience, penalty=float(penalty))
+    rows = [_row(f, records) for f in found.values()]
+    by_rule = min(rows, key=lambda r: getattr(r, criterion)).order
+    reasons = [f"{criterion.upper()} is smallest at order {by_rule}"]
+    order = by_rule
+    if cross_validate:
+        rows = _held_out(rows, records, options)
+        scored = [r for r in rows if np.isfinite(r.held_out)]
+        if scored:
+            best = min(scored, key=lambda r: r.held_out)
+            enough = min(r.order for r in scored if r.held_out <= best.held_out + 2 * r.held_out_std)
+            reasons.append(
+                f"on held-out data order {best.order} predicts best and order {enough} is within two standard errors"
+            )
+            if enough < order:
+                order = enough
+                reasons.append(f"order {enough} is taken: the larger orders do not predict unseen data better")
+    chosen = next(r for r in rows if r.order == order)
+    if np.isfinite(chosen.whiteness):
+        verdict = "white" if chosen.whiteness > 0.01 else "not white"
+        reasons.append(f"innovations at order {order} are {verdict} (joint portmanteau p = {chosen.whiteness:.2g})")
+        if chosen.whiteness <= 0.01:
+            reasons.append(
+                "what is left is structure that more states do not remove cheaply: nonlinearity, time variation, "
+                "unmeasured inputs or clock jitter"
+            )
+    if order == max(found) and len(found) == largest:
+        reasons.append(f"order {order} is the largest tried: raise `largest`")
+    return OrderChoice(
+        order=order,
+        rule=criterion,
+        rows=tuple(rows),
+        reasons=tuple(reasons),
+        found=found,
+        singular_values=found[order].singular_values,
+    )
+
+
+def _affordable(records: Sequence[Record], largest: int) -> int:
+    """No more orders than leave ten scalar samples per parameter; raises where order 1 has not even two."""
+    m, p = records[0].u.shape[1], records[0].y.shape[1]
+    seen = sum(int(np.isfinite(r.y).sum()) for r in records)
+    if seen < 2 * (m + 2 * p):
+        raise DataError(f"{seen} output samples are too few even for order 1", fix="pass a longer record")
+    return max(1, min(largest, seen // (10 * (m + 2 * p))))
+
+
+def _row(found: Found, records: Sequence[Record]) -> OrderRow:
+    s = found.solution
+    count = sum(len(r) for r in records)
+    scalars = sum(int(np.isfinite(r.y).sum()) for r in records)
+    p = records[0].y.shape[1]
+    d = s.tangent.shape[1]
+    total = d + p * (p + 1) // 2
+    value = s.evaluation.criterion
+    return OrderRow(
+        order=s.system.order,
+        criterion=value,
+        parameters=d,
+        aic=value + 2 * total,
+        aicc=value + 2 * total * scalars / max(scalars - total - 1, 1),
+        bic=value + total * np.log(count),
+        whiteness=_whiteness(found, records),
+        converged=s.status.name == "CONVERGED",
+    )
+
+
+def portmanteau(innovations: Sequence[np.ndarray], lags: int, fitted: int) -> float:
+    """p-value of the joint portmanteau test (Hosking 1980): innovations (N_i, p) without correlation at lags 1 .. lags.
+
+    `fitted` parameters per channel are taken off the degrees of freedom p^2 lags. `validation.whiteness` has the full
+    test with bands per channel; this number is all that the choice of an order needs. Rows with NaN are left out.
+    """
+    from scipy.stats import chi2
+
+    total = np.vstack(innovations)
+    total = total[np.isfinite(total).all(axis=1)]
+    count, p = total.shape
+    if count < 4 * lags * p:
+        return float("nan")
+    mean = total.mean(axis=0)
+    root = np.linalg.inv(np.linalg.cholesky(np.cov(total.T, bias=True).reshape(p, p)))
+    white = [np.nan_to_num((e - mean) @ root.T) for e in innovations]
+    q = 0.0
+    for lag in range(1, lags + 1):
+        c = sum(e[lag:].T @ e[:-lag] for e in white if len(e) > lag) / count
+        q += count**2 * float(np.sum(c * c)) / (count - lag)
+    return float(chi2.sf(q, max(p * p * lags - fitted * p, 1)))
+
+
+def _whiteness(found: Found, records: Sequence[Record]) -> float:
+    s = found.solution
+    e = [np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(records, s.evaluation.predictions)]
+    return portmanteau(e, 25, min(2 * s.system.order, 20))
+
+
+def _held_out(rows: Sequence[OrderRow], records: Sequence[Record], options: Options) -> list[OrderRow]:
+    train, test = split(records)
+    largest = max(r.order for r in rows)
+    try:
+        found = sweep(train, largest, options)
+    except GreyboxError:
+        return list(rows)
+    terms: dict[int, np.ndarray] = {}
+    for order, f in found.items():
+        s = f.solution
+        nuisances = start_nuisances(s.system, test, options.settings)
+        e = np.vstack([q.e for q in evaluate(s.system, nuisances, test, s.evaluation.noise).predictions])
+        noise = s.evaluation.noise
+        white = np.linalg.solve(np.linalg.cholesky(noise), e.T).T
+        terms[order] = (white**2).sum(axis=1) + np.linalg.slogdet(noise)[1]
+    best = min(terms, key=lambda k: float(terms[k].mean()))
+    out = []
+    for r in rows:
+        if r.order not in terms:
+            out.append(r)
+            continue
+        difference = terms[r.order] - terms[best]
+        out.append(replace(r, held_out=float(terms[r.order].mean()), held_out_std=_block_error(difference)))
+    return out
+
+
+def split(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """About 70 % to train and 30 % to test: every third record where there are three or more, else by time."""
+    if len(records) >= 3:
+        return [r for i, r in enumerate(records) if i % 3 != 2], [r for i, r in enumerate(records) if i % 3 == 2]
+    train, test = [], []
+    for r in records:
+        cut = int(0.7 * len(r))
+        train.append(Record(u=r.u[:cut], y=r.y[:cut], name=r.name))
+        test.append(Record(u=r.u[cut:], y=r.y[cut:], name=r.name))
+    return train, test
+
+
+def _block_error(values: np.ndarray, block: int = 50) -> float:
+    """Standard error of the mean of correlated values by means of non-overlapping blocks."""
+    blocks = max(len(values) // block, 2)
+    means = np.array([part.mean() for part in np.array_split(values, blocks)])
+    return float(means.std(ddof=1) / np.sqrt(blocks))

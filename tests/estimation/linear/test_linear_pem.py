@@ -1,0 +1,144 @@
+import numpy as np
+import pytest
+
+from greybox.errors import FitError
+from greybox.estimation.linear import pem
+from greybox.estimation.linear.fit import Options, Settings, fit_linear
+from greybox.estimation.linear.parametrisation import Free
+from greybox.estimation.linear.records import Record, prepare
+from greybox.estimation.linear.subspace import METHODS, subspace
+from greybox.model.matrices import Matrices, spectral_radius
+from scenarios.plants.linear_systems import random_system, simulate
+
+
+def data(seed=0, n=3, m=2, p=2, count=1200, **kwargs):
+    rng = np.random.default_rng(seed)
+    truth = random_system(rng, n, m, p)
+    system = Matrices(truth.a, truth.b, truth.c, np.zeros((p, m)), truth.k)
+    return rng, system, truth.noise, recorded(rng, truth, count, **kwargs)
+
+
+def recorded(rng, truth, count, name="record", **kwargs):
+    u, y = simulate(rng, truth, count, **kwargs)
+    return Record(u=u, y=y, name=name)
+
+
+def test_gram_and_jacobian_normal_equations_agree():
+    _, _, _, record = data()
+    records, _ = prepare([record])
+    start = subspace(records, "ssarx", order=3).realise(3)
+    settings = pem.Settings()
+    nuisances = pem.start_nuisances(start, records, settings)
+    here = pem.evaluate(start, nuisances, records, np.eye(2))
+    whitener = np.linalg.inv(np.linalg.cholesky(here.noise))
+    tangent = Free(system=start).tangent()
+    mixing = pem._mixing(start, here.modes, tangent, whitener)
+    fast = pem._by_gram(start, records[0], here.predictions[0], here.modes, whitener, mixing)
+    slow = pem._by_jacobian(start, records[0], here.predictions[0], here.modes, whitener, tangent)
+    for a, b in zip(fast, slow):
+        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7 * np.abs(b).max())
+
+
+def test_gradient_is_that_of_the_criterion():
+    _, _, _, record = data(1)
+    records, _ = prepare([record])
+    point = Free(system=subspace(records, "cva", order=3).realise(3))
+    settings = pem.Settings(free_start=False, offsets=False)
+    nuisances = pem.start_nuisances(point.system, records, settings)
+    here = pem.evaluate(point.system, nuisances, records, np.eye(2))
+    gradient = pem.normal_equations(point, records, here, settings).gradient
+    for i in range(0, point.dimension, 3):
+        step = np.zeros(point.dimension)
+        step[i] = 1e-6
+        up = pem.evaluate(point.moved(step).system, nuisances, records, np.eye(2)).criterion
+        down = pem.evaluate(point.moved(-step).system, nuisances, records, np.eye(2)).criterion
+        assert (up - down) / 2e-6 == pytest.approx(-2 * gradient[i], rel=1e-4, abs=1e-2)
+
+
+def test_all_starts_reach_the_same_optimum():
+    _, _, _, record = data(2, count=2000)
+    values = []
+    for method in METHODS:
+        fit = fit_linear([record], 3, options=Options(methods=(method,)))
+        assert fit.converged
+        values.append(fit.criterion)
+    assert np.ptp(values) < 1e-2
+
+
+def test_likelihood_at_the_optimum_is_above_that_of_the_truth():
+    _, system, lam, record = data(3, count=2000)
+    fit = fit_linear([record], 3, center=False, options=Options(settings=Settings(offsets=False)))
+    truth = pem.evaluate(system, [pem.Nuisance(x0=np.zeros(3), offset=np.zeros(2))], [record], lam).criterion
+    gain = truth - fit.criterion
+    d = fit.parameters + 3
+    assert 0.2 * d < gain < 3 * d  # -2 log likelihood falls by chi-square with d degrees of freedom
+
+
+def test_records_of_different_length_with_their_own_start_and_offset():
+    rng = np.random.default_rng(4)
+    truth = random_system(rng, 3, 2, 2)
+    records = []
+    for i, count in enumerate((300, 700, 1100)):
+        r = recorded(rng, truth, count, name=f"r{i}")
+        records.append(Record(u=r.u, y=r.y + np.array([i, -2.0 * i]), name=r.name))
+    fit = fit_linear(records, 3)
+    np.testing.assert_allclose(np.array(fit.offsets), [[0, 0], [1, -2], [2, -4]], atol=0.35)
+    np.testing.assert_allclose(fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05)
+
+
+def test_missing_samples_leave_the_estimate_where_it_was():
+    rng, _, _, record = data(5, count=2000)
+    whole = fit_linear([record], 3)
+    y = record.y.copy()
+    y[rng.random(y.shape) < 0.03] = np.nan
+    y[700:712] = np.nan
+    holes = fit_linear([Record(u=record.u, y=y)], 3)
+    assert any("bridged" in w for w in holes.warnings)
+    std = np.sqrt(whole.uncertainty.poles().covariance[:, 0, 0])
+    assert (np.abs(whole.model.matrices.poles().real - holes.model.matrices.poles().real) < 2.5 * std + 0.002).all()
+
+
+def test_predictor_is_stable_and_a_is_where_asked():
+    rng = np.random.default_rng(6)
+    u = rng.normal(size=(400, 1))
+    y = np.cumsum(u + 0.3 * rng.normal(size=u.shape), axis=0)  # a random walk: the pole sits on the unit circle
+    free = fit_linear([Record(u=u, y=y)], 2)
+    held = fit_linear([Record(u=u, y=y)], 2, options=Options(settings=Settings(stable=True)))
+    assert spectral_radius(free.model.matrices.predictor) < 1.0
+    assert spectral_radius(held.model.matrices.predictor) < 1.0
+    assert spectral_radius(held.model.matrices.a) < 1.0
+
+
+def test_estimate_does_not_depend_on_units():
+    _, _, _, record = data(7)
+    base = fit_linear([record], 3)
+    other = fit_linear([Record(u=record.u * 1e3 + 5, y=record.y * 1e-4 - 2)], 3)
+    np.testing.assert_allclose(base.model.matrices.poles(), other.model.matrices.poles(), atol=1e-5)
+    np.testing.assert_allclose(base.model.matrices.gain(1.0) * 1e-7, other.model.matrices.gain(1.0), rtol=1e-4)
+    jump = 2 * record.y.size * np.log(1e-4)
+    assert other.criterion == pytest.approx(base.criterion + jump, rel=1e-9, abs=1e-2)
+
+
+def test_a_fit_that_ran_out_of_iterations_says_so():
+    _, _, _, record = data(8)
+    fit = fit_linear([record], 3, options=Options(settings=Settings(max_iterations=1)))
+    assert not fit.converged
+    assert any("not converged" in w for w in fit.warnings)
+
+
+def test_an_unstable_predictor_is_refused_as_a_start():
+    _, _, _, record = data(9)
+    bad = Matrices(2 * np.eye(3), np.ones((3, 2)), np.ones((2, 3)), np.zeros((2, 2)), np.zeros((3, 2)))
+    with pytest.raises(FitError, match="unstable predictor"):
+        pem.minimise(Free(system=bad), [record])
+
+
+def test_input_delay_is_found_per_channel():
+    rng = np.random.default_rng(10)
+    truth = random_system(rng, 3, 2, 2, snr=20)
+    record = recorded(rng, truth, 2000)
+    shifted = np.column_stack([np.roll(record.u[:, 0], -4), np.roll(record.u[:, 1], -1)])
+    # u'[k] = u[k + d]: the output sees u' with d samples of extra delay
+    fit = fit_linear([Record(u=shifted[:-5], y=record.y[:-5])], 3, delays="auto")
+    assert fit.model.delays == (4, 1)
+    np.testing.assert_allclose(fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05)
