@@ -1,0 +1,39 @@
+# make demo   own environment, install, fit the shipped real flights, write a report, print where it is
+# make test   own environment, install, lint, type check, all fast tests
+# make test-slow   the long studies (hours are not needed; minutes are)
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= demo_out
+BIN = $(VENV)/bin
+STAMP = $(VENV)/.installed
+JOBS ?= 2
+
+# Small matrices: one BLAS thread is faster than many, and the results do not depend on the machine.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+
+.PHONY: demo test test-slow lint clean install
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
+	touch $(STAMP)
+
+install: $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/python -m scenarios.studies.demo --out $(OUT)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile
+
+clean:
+	rm -rf $(VENV) $(OUT) build *.egg-info
