@@ -17,6 +17,7 @@ from greybox.errors import ModelError, UnknownNameError
 
 Expr = Any
 FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.stats
 
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 NULL_SHARE = 1e-10
 """Eigenvalues of the scaled information below this share of the largest count as no information."""
@@ -31,7 +31,7 @@ class Covariance:
         return self.sandwich if coloured and self.blocks >= 20 else self.fisher
 
 
-def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: FloatArray) -> Covariance:
+def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: BoolArray) -> Covariance:
     """Covariances from the Hessian with priors (n, n), block scores (n_b, n), prior precisions (n,), held unknowns (n,).
 
     Directions without any information (neither data nor prior) get infinite variance on the unknowns they touch.
@@ -54,7 +54,7 @@ def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatA
     return Covariance(fisher=fisher, sandwich=sandwich, blocks=0 if scores is None else scores.shape[0])
 
 
-def scaled_inverse(h: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
     """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space)."""
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
     value, vector = np.linalg.eigh(h / np.outer(size, size))

@@ -364,6 +364,6 @@ def _cached(dynamics: Dynamics, active: tuple[str, ...], use_compiler: bool) -> 
 def engine_for(dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> Engine:
     """The engine of a model and a set of active parameters, built once per process."""
     try:
-        return _cached(dynamics, tuple(active), use_compiler)
+        return _cached(dynamics, tuple(active), use_compiler)  # type: ignore[arg-type]
     except TypeError:  # a model that cannot be hashed
         return Engine(dynamics, tuple(active), use_compiler=use_compiler)

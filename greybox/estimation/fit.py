@@ -29,7 +29,7 @@ from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import ParameterValues
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 SCHEMA = "greybox.fit/1"
 Progress = Callable[[int, float, float], None]
@@ -218,7 +218,7 @@ def fit(
         "predictor": chosen_predictor.name, "criterion": chosen_criterion.name, "solver": chosen_solver.name,
         "initialisation": initialisation, "disturbance": list(groups), "estimate_noise": estimate_noise, "seed": seed,
         "per_flight": sorted({u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}),
-        "fixed": sorted(set(d.name for d in dynamics.parameters) - set(problem.engine.active)),
+        "fixed": sorted({d.name for d in dynamics.parameters} - set(problem.engine.active)),
         "compiled": problem.engine.compiled,
     }  # fmt: skip
     return Fit(**{**result, "settings": settings})
@@ -234,7 +234,7 @@ def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int)
     if how == "equation-error":
         return init.equation_error(problem)
     if how == "multistart":
-        return init.multistart(problem, solver, starts, seed).best
+        return init.multistart(problem, solver, n=starts, seed=seed).theta[0]
     raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart"))
 
 
@@ -317,7 +317,7 @@ def _label(u: Any) -> str:
 
 
 def _estimates(
-    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: FloatArray, precision: FloatArray
+    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: BoolArray, precision: FloatArray
 ) -> dict[str, Estimate]:
     out: dict[str, Estimate] = {}
     by_name: dict[str, list[int]] = {}
@@ -335,7 +335,7 @@ def _estimates(
         first = problem.unknowns[places[0]]
         has_prior = bool(np.isfinite(first.sigma))
         influence = float(np.mean([min(fisher[i, i] * precision[i], 1.0) for i in places])) if has_prior else 0.0
-        common = {
+        common: dict[str, Any] = {
             "name": d.name, "unit": d.unit, "prior": (first.mean, first.sigma) if has_prior else None,
             "prior_influence": influence, "at_bound": bool(held[places].any()),
         }  # fmt: skip
@@ -371,11 +371,12 @@ def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[st
     out: dict[str, tuple[float, float]] = {}
     own = {u.name.split(".")[0] for u in problem.unknowns if u.flight and u.kind == "parameter"}
     for flight in (None, *problem.flights):
-        values, slope = function(problem.parameters_of(theta, flight))
+        which = flight or problem.flights[0]  # a shared row does not depend on the flight
+        values, slope = function(problem.parameters_of(theta, which))
         for k, name in enumerate(table):
             if (name.split(".")[0] in own) == (flight is None):
                 continue  # per-flight effects get one row per flight, shared ones a single row
-            columns = problem.local_columns(flight or "")
+            columns = problem.local_columns(which)
             spread = float(slope.full()[k] @ matrix[np.ix_(columns, columns)] @ slope.full()[k])
             label = name if flight is None else f"{name} ({flight})"
             out[label] = (float(values[k]), float(np.sqrt(max(spread, 0.0))))
@@ -395,8 +396,8 @@ def _identified(
     for n, e in estimates.items():
         if e.scope != "flight":
             continue
-        for f, (v, _) in e.per_flight.items():
-            per_flight.setdefault(f, {})[n] = v
+        for f, (level, _) in e.per_flight.items():
+            per_flight.setdefault(f, {})[n] = level
         between = e.std if len(e.per_flight) > 1 and np.isfinite(e.std) and e.std > 0 else declared[n].scale
         spread[n] = (e.value, float(between))
     process, sensor = problem.noise_levels(theta)
@@ -408,13 +409,13 @@ def _identified(
     x_ref = d.reference(problem.means)
     u_ref = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
     domain: dict[str, tuple[float, float]] = {}
-    for f in data.flights:
-        for s in f.segments:
+    for flight in data.flights:
+        for s in flight.segments:
             for n, v in s.channels.items():
-                good = v[np.isfinite(v)]
-                if good.size:
+                seen = v[np.isfinite(v)]
+                if seen.size:
                     low, high = domain.get(n, (np.inf, -np.inf))
-                    domain[n] = (min(low, float(good.min())), max(high, float(good.max())))
+                    domain[n] = (min(low, float(seen.min())), max(high, float(seen.max())))
     return IdentifiedModel(
         dynamics=d, values=ParameterValues(values), covariance_names=names, covariance=cov, per_flight=per_flight,
         flight_spread=spread, process_noise=process, sensor_noise=sensor,

@@ -33,12 +33,12 @@ class Combination:
 
 def marginal_information(information: FloatArray, keep: Sequence[int]) -> FloatArray:
     """Information of the unknowns `keep` with all others eliminated (Schur complement), (k, k)."""
-    keep = np.asarray(keep, dtype=int)
-    rest = np.setdiff1d(np.arange(information.shape[0]), keep)
-    a = information[np.ix_(keep, keep)]
+    kept = np.asarray(keep, dtype=np.intp)
+    rest = np.setdiff1d(np.arange(information.shape[0]), kept)
+    a = information[np.ix_(kept, kept)]
     if not rest.size:
         return a
-    b = information[np.ix_(keep, rest)]
+    b = information[np.ix_(kept, rest)]
     d = information[np.ix_(rest, rest)]
     size = np.sqrt(np.maximum(np.diag(d), 1e-300))
     inverse = np.linalg.pinv(d / np.outer(size, size), rcond=1e-12, hermitian=True)
@@ -66,7 +66,7 @@ def unidentified(information: FloatArray, names: Sequence[str], values: Sequence
     if len(seen) < 2:
         return tuple(out)
     size = np.sqrt(diagonal[seen])
-    scaled = information[np.ix_(seen, seen)] / np.outer(size, size)
+    scaled = information[np.ix_(np.asarray(seen), np.asarray(seen))] / np.outer(size, size)
     eigenvalues, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     for value, v in zip(eigenvalues, vectors.T, strict=True):
         if value > WEAK * eigenvalues[-1]:

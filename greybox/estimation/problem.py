@@ -84,8 +84,13 @@ class Predictor(Protocol):
     A predictor whose attribute `has_initial` is False takes the initial states as prior only: they are no unknowns.
     """
 
-    name: str
-    has_noise: bool
+    @property
+    def name(self) -> str:
+        """Catalogue name."""
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether noise levels are unknowns of the fit."""
 
     def prepare(self, problem: Problem) -> Mapping[str, object]:
         """Work that is done once per problem."""
@@ -97,7 +102,9 @@ class Predictor(Protocol):
 class Criterion(Protocol):
     """Turns residuals into a cost."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Catalogue name."""
 
     def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
         """Cost without priors (order 0), with gradient and Gauss-Newton Hessian (order 1)."""

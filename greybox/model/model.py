@@ -24,7 +24,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.errors import ModelError
+from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import quat_derivative, quat_difference, quat_exp, quat_multiply, quat_normalize, rotation_matrix
 from greybox.model.effect import SLOTS, Effect, Flow
 from greybox.model.effects import effect_by_name
@@ -138,9 +138,9 @@ class PhysicsModel:
             stated = known.get(e.name, {})
             declared = e.parameters(self.vehicle)
             for short in stated:
+                if short in e.derived({d.name: 0.0 for d in declared}, self.vehicle):
+                    continue  # follows from the others
                 if short not in {d.name for d in declared}:
-                    from greybox.errors import UnknownNameError
-
                     raise UnknownNameError(f"parameter of effect {e.name}", short, (d.name for d in declared))
             for d in declared:
                 given = stated.get(d.name)

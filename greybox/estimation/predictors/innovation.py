@@ -45,7 +45,8 @@ class Innovation:
     def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
         """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
         lin: Any = problem.state["linearisation"]
-        x, window = problem.state["reference"]  # type: ignore[misc]
+        reference: Any = problem.state["reference"]
+        x, window = reference
         weak: Any = problem.state["weak"]
         p = problem.parameters_of(theta, None)
         process, sensor = problem.noise_levels(theta)
@@ -74,7 +75,7 @@ class Innovation:
         zero = np.array([not m.any() for m in patterns], dtype=np.int32)
         if riccati.dN is None:
             return GainTable(gain=k, zero=zero), s, None
-        dk = np.array([np.moveaxis(v[2], 0, -1) for v in parts])  # type: ignore[arg-type]
+        dk = np.moveaxis(np.array([v[2] for v in parts]), 1, -1)
         dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
         ds = np.array([v[3] for v in parts])
         ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)

@@ -14,7 +14,7 @@ import scipy.linalg
 
 from greybox.estimation.problem import Problem
 from greybox.estimation.status import Code, Status
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 Progress = Callable[[int, float, float], None]
 
@@ -84,13 +84,13 @@ class LevenbergMarquardt:
         return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
 
 
-def newton_decrement(g: FloatArray, h: FloatArray, held: FloatArray) -> float:
+def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
     """g' H^-1 g / 2 over the unknowns that are not held: the decrease that a full step promises."""
     step = damped_step(g, h, held, 0.0)
-    return float(max(-0.5 * g @ step, 0.0))
+    return max(-0.5 * float(g @ step), 0.0)
 
 
-def damped_step(g: FloatArray, h: FloatArray, held: FloatArray, damping: float) -> FloatArray:
+def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float) -> FloatArray:
     """-(H + damping diag H)^-1 g on the unknowns that are not held; directions without information do not move."""
     free = ~np.asarray(held, dtype=bool)
     step = np.zeros_like(g)

@@ -36,4 +36,5 @@ class RotationalDamping(Effect):
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """One coefficient per axis."""
-        return {"moment": -ca.vertcat(p["d_p"], p["d_q"], p["d_r"]) * flow.omega}
+        gain: Expr = ca.vertcat(p["d_p"], p["d_q"], p["d_r"])
+        return {"moment": -gain * flow.omega}

@@ -44,16 +44,16 @@ class RotorAsymmetry(Effect):
                 null=0.0,
                 scale=0.05,
                 meaning=f"relative strength of rotor {i}",
-            )  # fmt: skip
+            )
             for i in range(1, len(vehicle.rotors))
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """The same factor on thrust and drag torque."""
-        delta = ca.vertcat(*p.values())
-        factor = 1 + ca.vertcat(delta, -ca.sum1(delta))
+        delta = list(p.values())
+        factor = ca.vertcat(*(1 + d for d in delta), 1 - sum(delta))
         return {"thrust_factor": factor, "torque_factor": factor}
 
     def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
         """The last rotor's share."""
-        return {f"delta_{len(vehicle.rotors)}": -ca.sum1(ca.vertcat(*p.values()))}
+        return {f"delta_{len(vehicle.rotors)}": -sum(p.values())}
