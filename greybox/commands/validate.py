@@ -1,0 +1,69 @@
+"""greybox validate MODEL.json --log C.csv ...: errors of a fitted model on flights that it never saw."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from greybox.errors import DataError
+
+
+def add(commands: Any) -> None:
+    """Add the subcommand."""
+    p = commands.add_parser("validate", help="judge a model on flights that it never saw")
+    p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
+    p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
+    p.add_argument(
+        "--horizons", default="1,10,50", metavar="H,...", help="steps ahead, in samples (default %(default)s)"
+    )
+    p.add_argument(
+        "--adapt", type=float, metavar="S", help="fit per-flight parameters on the first S seconds of each flight"
+    )
+    p.add_argument(
+        "--measured-start", action="store_true", help="also start from the measured state (smoothed channels included)"
+    )
+    p.add_argument("--rate", type=float, metavar="HZ", help="resample the logs (default: the model's own rate)")
+    p.add_argument("--keep-ground", action="store_true", help="keep take-off and landing")
+    p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
+    p.set_defaults(run=run)
+
+
+def parse_horizons(text: str) -> tuple[int, ...]:
+    """Whole numbers from "1,10,50". Raises `DataError`."""
+    try:
+        values = tuple(int(part) for part in text.split(",") if part.strip())
+    except ValueError:
+        values = ()
+    if not values or min(values) < 1:
+        raise DataError("--horizons", expected="whole numbers of samples, such as 1,10,50", got=repr(text))
+    return values
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Validate and print. Returns 0."""
+    horizons = parse_horizons(arguments.horizons)
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
+    from greybox.data.logs import read_logs
+    from greybox.files import dump_json, write_json
+    from greybox.model.identified import IdentifiedModel
+    from greybox.validation.validate import validate
+
+    model = IdentifiedModel.load(arguments.model)
+    dataset = read_logs(
+        arguments.log, model.physics.vehicle, rate=arguments.rate or 1.0 / model.sample_time,
+        trim=not arguments.keep_ground,
+    )  # fmt: skip
+    result = validate(
+        model, dataset, horizons=horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
+        progress=lambda line: print(line, file=sys.stderr, flush=True) if sys.stderr.isatty() else None,
+    )  # fmt: skip
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(result.to_dict()))
+        return 0
+    print(result.format())
+    if arguments.json:
+        write_json(arguments.json, result.to_dict())
+        print(f"written: {arguments.json}")
+    return 0

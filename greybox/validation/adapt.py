@@ -1,0 +1,111 @@
+"""Adaptation of a model to one flight: per-flight parameters and the start, from the flight's first seconds.
+
+Maximum a posteriori in innovation form with the model's own filter: shared parameters and noise levels fixed, the
+training flights' mean and spread as prior of each per-flight parameter (Ljung 1999, System Identification, sec. 7.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greybox.data import Dataset, Flight
+from greybox.errors import DataError
+from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.filtering import Filter
+from greybox.estimation.gain import Riccati
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Adaptation:
+    """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters, its start `x0` (n_x).
+
+    `x0` belongs to the first segment of the flight. `warnings` say what did not work.
+    """
+
+    flight: str
+    seconds: float
+    values: Mapping[str, float] = field(default_factory=dict)
+    std: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    x0: FloatArray | None = None
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, dict[str, float | str]]:
+        """Name -> value, std, unit."""
+        return {n: {"value": v, "std": self.std[n], "unit": self.units[n]} for n, v in self.values.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedGain(Innovation):
+    """Innovation form whose gain is given: per-flight parameters do not move it, and noise levels are fixed."""
+
+    solution: Riccati
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """Nothing to prepare."""
+        return {}
+
+    def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
+        """The given solution."""
+        return self.solution
+
+
+def adapt_to_flight(
+    model: IdentifiedModel,
+    flight: Flight,
+    seconds: float,
+    *,
+    riccati: Riccati | None = None,
+    use_compiler: bool = True,
+    max_iterations: int = 30,
+) -> Adaptation:
+    """Fit the per-flight parameters of `model` and the initial state on the first `seconds` of `flight`.
+
+    `riccati` is that of the model's filter, where it is at hand. Raises `DataError` for a flight that has no samples
+    there, or is not sampled at the model's rate.
+    """
+    if not seconds > 0:
+        raise DataError(f"adaptation on {seconds:g} s", expected="a positive number of seconds")
+    begin = float(flight.segments[0].t[0])
+    window = flight.between(begin, begin + seconds - 1e-9)
+    if window is None or window.segments[0].t[0] > begin:
+        raise DataError(f"no samples in the first {seconds:g} s", where=f"flight {flight.name}")
+    declared = {d.name: d for d in model.dynamics.parameters}
+    names = [n for n in declared if n in model.flight_spread]
+    # A parameter that did not vary between the training flights keeps its mean.
+    priors = {n: (m, s) for n, (m, s) in model.flight_spread.items() if n in declared and s > 0 and np.isfinite(s)}
+    free = [n for n in names if n in priors]
+    levels = dict(zip((f"noise.process.{n}" for n in model.dynamics.noises.names), model.process_noise, strict=True))
+    levels |= dict(
+        zip((f"noise.sensor.{n}" for n in model.dynamics.innovations.names), model.sensor_noise, strict=True)
+    )
+    gain = riccati or Filter(model, use_compiler=use_compiler).riccati
+    problem = make_problem(
+        model.dynamics, Dataset(flights=(window,)), predictor=FixedGain(solution=gain), criterion=Gaussian(), free=free,
+        per_flight=free, values=dict(model.values), flight_priors=priors, noise=levels, estimate_noise=False,
+        use_compiler=use_compiler,
+    )  # fmt: skip
+    theta, status = LevenbergMarquardt(max_iterations=max_iterations).solve(problem, problem.start)
+    value = problem.evaluate(theta)
+    warnings = []
+    if not status.converged:
+        warnings.append(f"{flight.name}: adaptation on the first {seconds:g} s: {status.advice}")
+    std = np.full(problem.n, np.nan)
+    if value.hessian is not None:
+        std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(value.hessian, hermitian=True)), 0.0))
+    places = {n: problem.place(n, flight.name) for n in free}
+    return Adaptation(
+        flight=flight.name, seconds=seconds,
+        values={n: float(theta[i]) for n, i in places.items() if i is not None},
+        std={n: float(std[i]) for n, i in places.items() if i is not None},
+        units={n: declared[n].unit for n in free},
+        x0=problem.initial_state(theta, 0), warnings=tuple(warnings),
+    )  # fmt: skip

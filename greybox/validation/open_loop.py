@@ -1,0 +1,168 @@
+"""Open-loop predictions of an identified model in the channel groups of the multi-step tables.
+
+From origin k the state is x_hat(k+1 | k), the filter's, from measurements up to k; recorded commands drive k+1 .. k+H.
+Groups that the filter does not measure but whose state it carries (velocity, where only the position is measured
+causally) are read from the predicted state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import FitError
+from greybox.estimation.engine import Engine
+from greybox.estimation.filtering import Filtered
+from greybox.frames import numeric
+from greybox.model.dynamics import Dynamics
+from greybox.model.identified import IdentifiedModel
+from greybox.model.model import PhysicsModel
+from greybox.model.sensors import SENSORS
+from greybox.symbolic import FloatArray, evaluate
+from greybox.validation.groups import GROUPS
+
+IntArray = npt.NDArray[np.int64]
+POSE = ("position", "velocity", "rotation")
+
+
+class GroupReader:
+    """Which groups a model predicts, and how their values are read from its outputs and states."""
+
+    def __init__(self, model: IdentifiedModel) -> None:
+        outputs = model.dynamics.outputs
+        self._states = model.dynamics.states.names
+        self._columns = {
+            name: [outputs[c] for c in g.columns] for name, g in GROUPS.items() if all(c in outputs for c in g.columns)
+        }
+        self._velocity = None if "velocity" in self._columns else _velocity_reading(model)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups that the model predicts, in the order of the tables."""
+        own = {*self._columns, *(() if self._velocity is None else ("velocity",))}
+        return tuple(g for g in GROUPS if g in own)
+
+    def judged(self, channels: Iterable[str]) -> tuple[str, ...]:
+        """Groups with a reference among `channels`; the specific force only where no pose is there (IMU-only logs)."""
+        have = set(channels)
+        there = [g for g in self.groups if have.issuperset(GROUPS[g].columns)]
+        return tuple(g for g in there if g != "specific_force" or not any(p in there for p in POSE))
+
+    def state_rows(self, block: str) -> list[int]:
+        """Places of a block ("position", "attitude", ...) in the state vector."""
+        return [i for i, n in enumerate(self._states) if n.startswith(block + ".")]
+
+    @property
+    def needs_states(self) -> bool:
+        """Whether the values are read from states too, not from the outputs alone."""
+        return self._velocity is not None
+
+    def values(self, outputs: FloatArray, states: FloatArray | None, p: FloatArray) -> dict[str, FloatArray]:
+        """Group -> (..., dimension) from outputs (..., n_y) and states (..., n_x) at parameters p (n_p)."""
+        read = {g: outputs[..., at] for g, at in self._columns.items()}
+        if self._velocity is not None:
+            assert states is not None
+            flat = states.reshape(-1, states.shape[-1])
+            reading, rows = self._velocity
+            read["velocity"] = evaluate(reading(p), flat[:, rows]).reshape(*states.shape[:-1], 3)
+        return {g: read[g] for g in self.groups}
+
+
+def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], Any], list[int]] | None:
+    """(p -> function of the states `rows` that gives the velocity sensor's reading, rows); None where no state has it."""
+    physics = model.physics
+    if not isinstance(physics, PhysicsModel) or "position" not in {s.name for s in physics.sensors}:
+        return None
+    sensor = next(s for s in SENSORS if s.name == "velocity")
+    seeing: Dynamics = replace(physics, sensors=(*physics.sensors, sensor))
+    x, p = ca.SX.sym("x", len(model.dynamics.states)), ca.SX.sym("p", len(model.dynamics.parameters))
+    u = ca.SX.zeros(len(physics.inputs), sum(physics.window) + 1)
+    quiet = ca.DM.zeros(len(physics.noises))
+    y = seeing.output(0, x[: len(physics.states)], u, p[: len(physics.parameters)], quiet, 1.0)
+    v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]
+    rows = [i for i in range(x.numel()) if any(ca.which_depends(v, x[i], 1, False))]
+
+    def at(values: FloatArray) -> Any:
+        fixed = ca.substitute(v, p, ca.DM(values))
+        return ca.Function("velocity", [x[rows]], [fixed])
+
+    return at, rows
+
+
+def predict_from(
+    engine: Engine,
+    reader: GroupReader,
+    filtered: Filtered,
+    origins: IntArray,
+    *,
+    steps: int,
+    measured_start: bool = False,
+    references: Mapping[str, FloatArray] | None = None,
+) -> dict[str, FloatArray]:
+    """Group -> predictions (m, steps, dimension) of samples k+1 .. k+steps from every origin k.
+
+    Past the end of the record the last command is held (those predictions have no reference). With `measured_start` the
+    state at k is the measured one (`references`, smoothed velocities included), rotors and disturbances the filter's.
+    """
+    record = filtered.record
+    past = engine.past
+    inputs = np.concatenate([record.inputs, np.repeat(record.inputs[-1:], steps + 1, axis=0)])
+    first = np.asarray(origins, dtype=np.int64)
+    if measured_start:
+        begin = started_at_measurement(filtered, reader, first, references or {})
+        rows, length = first, steps + 1
+    else:
+        begin, rows, length = filtered.states[first + 1], first + 1, steps
+    if len(rows) and rows.max() + length + past > len(inputs):
+        raise FitError("an origin lies outside its record")
+    outputs, states = engine.rollout(
+        starts=begin,
+        rows=rows,
+        horizon=length,
+        inputs=inputs,
+        p=filtered.p,
+        dt=record.dt,
+        want_states=reader.needs_states,
+    )
+    if measured_start:
+        outputs, states = outputs[:, 1:], None if states is None else states[:, 1:]
+    return reader.values(outputs, states, filtered.p)
+
+
+def started_at_measurement(
+    filtered: Filtered, reader: GroupReader, origins: IntArray, references: Mapping[str, FloatArray]
+) -> FloatArray:
+    """States (m, n_x) at the origins whose outputs equal the measured pose, velocity and rate there.
+
+    The predicted state x_hat(k | k-1) is moved by the difference between measured and predicted values (constant sensor
+    offsets and turns stay as they are); a sample that is not measured leaves its part of the state as predicted.
+    """
+    states = filtered.states[origins].copy()
+    predicted = reader.values(filtered.outputs[origins], states, filtered.p)
+    for group, block in (
+        ("position", "position"),
+        ("velocity", "velocity"),
+        ("rate", "rate"),
+        ("rotation", "attitude"),
+    ):
+        at = np.array(reader.state_rows(block), dtype=np.intp)
+        if group not in predicted or group not in references or not at.size:
+            continue
+        target = references[group][origins]
+        seen = np.isfinite(target).all(axis=1)
+        if not seen.any():
+            continue
+        if group == "rotation":
+            # q_meas = q * q_mis: carry the predicted sensor-to-body turn over to the measured attitude.
+            conjugate = predicted[group][seen] * np.array([1.0, -1.0, -1.0, -1.0])
+            turn = numeric("multiply", conjugate, states[np.ix_(seen, at)])
+            moved = numeric("multiply", target[seen], turn)
+            states[np.ix_(seen, at)] = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+        else:
+            states[np.ix_(seen, at)] += target[seen] - predicted[group][seen]
+    return states

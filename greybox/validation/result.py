@@ -1,0 +1,101 @@
+"""Validation: the result of `validate`, as a value that prints and saves (schema "greybox.validate/1")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from greybox.validation.adapt import Adaptation
+from greybox.validation.coverage import Coverage
+from greybox.validation.cross_correlation import CrossCorrelation
+from greybox.validation.horizon_table import HorizonTable, format_tables
+from greybox.validation.metrics import ChannelMetrics
+from greybox.validation.whiteness import Whiteness
+
+SCHEMA = "greybox.validate/1"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Validation:
+    """Errors of a model on flights that it was not fitted to.
+
+    `table` holds the model's multi-step errors from the filter's state, `persistence` and `dead_reckoning` the rows
+    beside it, `measured_start` the model started from the measured state; None where there is nothing to compute.
+    `one_step`, `coverage` per channel; `whiteness` and `cross_correlation` of the normalised innovations.
+    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`.
+    """
+
+    model: str
+    file: str | None
+    flights: Sequence[Mapping[str, Any]]
+    sample_time: float
+    horizons: tuple[int, ...]
+    table: HorizonTable | None
+    persistence: HorizonTable | None = None
+    dead_reckoning: HorizonTable | None = None
+    measured_start: HorizonTable | None = None
+    one_step: Mapping[str, ChannelMetrics] = field(default_factory=dict)
+    whiteness: Whiteness | None = None
+    cross_correlation: CrossCorrelation | None = None
+    coverage: Mapping[str, Sequence[Coverage]] = field(default_factory=dict)
+    adapted_seconds: float | None = None
+    adaptation: Mapping[str, Adaptation] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def tables(self) -> tuple[HorizonTable, ...]:
+        """The rows that are there: model, measured start, persistence, dead reckoning."""
+        rows = (self.table, self.measured_start, self.persistence, self.dead_reckoning)
+        return tuple(t for t in rows if t is not None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, schema "greybox.validate/1"."""
+        own = self.table.to_dict(self.horizons) if self.table is not None else {"horizons": [], "simerr": {}}
+
+        def row(table: HorizonTable | None) -> dict[str, Any] | None:
+            return None if table is None else table.to_dict(self.horizons)
+
+        adapted = None
+        if self.adapted_seconds is not None:
+            adapted = {
+                "seconds": self.adapted_seconds, "flights": {n: a.to_dict() for n, a in self.adaptation.items()},
+            }  # fmt: skip
+        return {
+            "schema": SCHEMA,
+            "model": {"name": self.model, "file": self.file},
+            "flights": [dict(f) for f in self.flights],
+            "sample_time": self.sample_time,
+            **own,
+            "persistence": row(self.persistence),
+            "dead_reckoning": row(self.dead_reckoning),
+            "measured_start": row(self.measured_start),
+            "curves": {t.label: t.curve() for t in self.tables},
+            "adapted_on": adapted,
+            "one_step": {n: m.to_dict() for n, m in self.one_step.items()},
+            "whiteness": None if self.whiteness is None else self.whiteness.to_dict(),
+            "cross_correlation": None if self.cross_correlation is None else self.cross_correlation.to_dict(),
+            "coverage": {n: [c.to_dict() for c in cs] for n, cs in self.coverage.items()},
+            "warnings": list(self.warnings),
+        }
+
+    def format(self) -> str:
+        """Text for the terminal: warnings first, then the multi-step tables, one-step errors and residual tests."""
+        lines = [f"warning: {w}" for w in self.warnings]
+        lines.append(f"{self.model}: {len(self.flights)} flight(s), {sum(f['seconds'] for f in self.flights):.0f} s")
+        if self.adapted_seconds is not None:
+            lines.append(
+                f"per-flight parameters adapted on the first {self.adapted_seconds:g} s of each flight, then frozen"
+            )
+        if self.tables:
+            lines += ["", format_tables(self.tables, self.horizons)]
+        if self.one_step:
+            lines += ["", "one step ahead" + " " * 6 + f"{'RMSE':>11}  {'R2':>7}  {'inside 95 %':>11}"]
+            for name, m in self.one_step.items():
+                covered = [c.fraction for c in self.coverage.get(name, ()) if abs(c.nominal - 0.95) < 1e-9]
+                r2 = f"{m.r2:>7.4f}" if m.r2 is not None else f"{'-':>7}"
+                inside = f"{covered[0]:>11.1%}" if covered else f"{'-':>11}"
+                lines.append(f"  {name:<12} {m.rmse:>11.4g} {m.unit:<5}{r2}  {inside}")
+        if self.whiteness is not None:
+            lines += ["", "innovations: are they white?", self.whiteness.format()]
+        return "\n".join(lines)

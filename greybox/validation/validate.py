@@ -1,0 +1,307 @@
+"""validate: a model against flights that it was not fitted to.
+
+From every origin k the state uses measurements up to k only; recorded commands drive k .. k+h; errors are norms of the
+vector (rotation: geodesic angle), pooled over all origins that have all their steps; origins never cross a gap
+(metric of the nano-drone benchmark of R. Busetto et al., 2026). Channels that were smoothed with later samples may be
+a reference, never a measurement. The rows beside each table are persistence (ceiling) and dead reckoning (floor).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greybox.data import Dataset, Flight, Segment
+from greybox.errors import DataError, ModelError
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.frames import GRAVITY
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+from greybox.validation.adapt import Adaptation, adapt_to_flight
+from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
+from greybox.validation.groups import GROUPS
+from greybox.validation.horizon import REQUIRED, HorizonAccumulator
+from greybox.validation.horizon_table import HorizonTable
+from greybox.validation.one_step import OneStep
+from greybox.validation.open_loop import GroupReader, IntArray, predict_from
+from greybox.validation.result import Validation
+from greybox.validation.samples import BoolArray
+
+Progress = Callable[[str], None]
+CHUNK = 4000
+"""Origins that are rolled out at once (bounds the memory)."""
+START = 0.1
+"""First seconds of every segment, which start the filter (as `make_record` does): origins come after them."""
+SPARSE = 0.8
+"""Below this share of samples with a reference, horizons without a reference sample drop out instead of origins."""
+
+
+def validate(
+    model: IdentifiedModel,
+    dataset: Dataset,
+    *,
+    horizons: Sequence[int] = (1, 10, 50),
+    adapt: float | None = None,
+    measured_start: bool = False,
+    progress: Progress | None = None,
+    use_compiler: bool = True,
+) -> Validation:
+    """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests and baselines.
+
+    `horizons` are numbers of samples. `adapt` [s]: per flight, the parameters with a value per flight and the initial
+    state are fitted on its first seconds with everything else fixed (prior: the training flights), then frozen; origins
+    start after them, and dead reckoning takes its IMU biases from the same seconds. `measured_start` adds the row that
+    starts from the measured state, smoothed velocities included, as the benchmark does. `progress` gets a line per
+    flight. Raises `DataError` (no usable flight, another sample time), `ModelError` (a smoothed channel is a
+    measurement of the filter), `FitError`.
+    """
+    wanted = tuple(sorted({int(h) for h in horizons}))
+    if not wanted or wanted[0] < 1:
+        raise DataError("horizons must be whole numbers of samples", expected="1, 10, 50", got=str(list(horizons)))
+    if not len(dataset):
+        raise DataError("no flight to validate on")
+    _demand_causal(model, dataset)
+    work = _Work(
+        model=model, dataset=dataset, wanted=wanted, adapt=adapt, measured=measured_start, use_compiler=use_compiler
+    )
+    for flight in dataset:
+        if progress:
+            progress(f"validate: {flight.name}")
+        work.add(flight)
+    return work.result()
+
+
+def _demand_causal(model: IdentifiedModel, dataset: Dataset) -> None:
+    wrong = sorted(dataset.noncausal & set(model.dynamics.outputs.names))
+    if wrong:
+        raise ModelError(
+            f"the filter measures {', '.join(wrong)}, which are smoothed with later samples",
+            fix="fit without these columns, or remove causal = false where it is wrong",
+        )
+
+
+@dataclass(kw_only=True)
+class _Work:
+    """The state of one call: accumulators that every flight adds to."""
+
+    model: IdentifiedModel
+    dataset: Dataset
+    wanted: tuple[int, ...]
+    adapt: float | None
+    measured: bool
+    use_compiler: bool
+    warnings: list[str] = field(default_factory=list)
+    flights: list[dict[str, object]] = field(default_factory=list)
+    adaptation: dict[str, Adaptation] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.filter = Filter(self.model, use_compiler=self.use_compiler)
+        self.reader = GroupReader(self.model)
+        self.groups = self.reader.judged(self.dataset.any_channels)
+        self.steps = max(REQUIRED, self.wanted[-1])
+        dt = self.model.sample_time
+        share = min((_share(self.dataset, g) for g in self.groups), default=1.0)
+        missing = "origin" if share >= SPARSE else "step"
+        if missing == "step":
+            self.warnings.append(f"only {share:.0%} of the samples have a reference: horizons without one are left out")
+        self.rows = {
+            label: HorizonAccumulator(label=label, sample_time=dt, steps=self.steps, missing=missing)
+            for label in ("model", "measured start", "persistence", "dead reckoning")
+        }
+        self.one_step = OneStep(dynamics=self.model.dynamics)
+        used = sorted(set(self.dataset.names) & set(self.model.trained_on))
+        if used:
+            self.warnings.append(f"the model was fitted on {', '.join(used)}: errors there are not held-out errors")
+
+    # ------------------------------------------------------------ one flight
+
+    def add(self, flight: Flight) -> None:
+        """Filter, roll out and judge one flight."""
+        dt = self.model.sample_time
+        if abs(flight.dt - dt) > 1e-6 * dt:
+            raise DataError(
+                f"sampled every {flight.dt:g} s, the model every {dt:g} s", where=f"flight {flight.name}",
+                fix=f"read the log with --rate {1 / dt:g}",
+            )  # fmt: skip
+        adapted = self._adapted(flight)
+        p = self.model.flight_vector(flight.name) if adapted is None else self.model.parameter_vector(adapted.values)
+        begin = float(flight.segments[0].t[0])
+        after = begin if self.adapt is None else begin + self.adapt
+        bias = self._imu_bias(flight)
+        for i, segment in enumerate(flight.segments):
+            x0 = adapted.x0 if adapted is not None and i == 0 else None
+            filtered = self.filter.run(_without(segment, flight.noncausal), p=p, x0=x0)
+            late = segment.t >= after - 1e-9
+            late[: max(3, round(START / segment.dt)) - 1] = False
+            self.one_step.add(flight.name, filtered, late)
+            self._roll_out(flight.name, segment, filtered, late, bias)
+        self.flights.append(
+            {"name": flight.name, "samples": flight.n, "seconds": flight.duration, "notes": list(flight.notes)}
+        )
+        self._extrapolation(flight)
+
+    def _adapted(self, flight: Flight) -> Adaptation | None:
+        if self.adapt is None:
+            return None
+        found = adapt_to_flight(
+            self.model, flight, self.adapt, riccati=self.filter.riccati, use_compiler=self.use_compiler
+        )
+        self.adaptation[flight.name] = found
+        self.warnings += found.warnings
+        return found
+
+    def _imu_bias(self, flight: Flight) -> ImuBias:
+        """Biases of dead reckoning from the adaptation seconds; none without them."""
+        if self.adapt is None or not _has(flight.channels, "rate", "specific_force", "rotation"):
+            return ImuBias.zero()
+        begin = float(flight.segments[0].t[0])
+        window = flight.segments[0].between(begin, begin + self.adapt - 1e-9)
+        velocity = _matrix(window, "velocity") if _has(flight.channels, "velocity") else None
+        try:
+            return estimate_imu_bias(
+                _imu(window), attitude=_matrix(window, "rotation"), velocity=velocity, gravity=self._gravity
+            )
+        except DataError as error:
+            self.warnings.append(f"{flight.name}: dead reckoning without IMU biases ({error})")
+            return ImuBias.zero()
+
+    @property
+    def _gravity(self) -> float:
+        vehicle = getattr(self.model.physics, "vehicle", None)
+        return float(vehicle.gravity) if vehicle is not None else GRAVITY
+
+    def _roll_out(self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias) -> None:
+        origins = np.flatnonzero(late)
+        origins = origins[origins < segment.n - REQUIRED]
+        references = {g: _matrix(segment, g) for g in self.groups}
+        references = {g: r for g, r in references.items() if np.isfinite(r).all(axis=1).any()}
+        if not references:
+            return
+        engine = self.filter.engine
+        for at in range(0, len(origins), CHUNK):
+            part = origins[at : at + CHUNK]
+            predicted = predict_from(engine, self.reader, filtered, part, steps=self.steps)
+            self._row("model", name, predicted, references, part)
+            if self.measured:
+                predicted = predict_from(
+                    engine, self.reader, filtered, part, steps=self.steps, measured_start=True, references=references
+                )
+                self._row("measured start", name, predicted, references, part)
+            self._row("persistence", name, persistence(references, part, steps=self.steps), references, part)
+            if "rotation" in references and _has(segment.names, "rate", "specific_force"):
+                floor = self._dead_reckoning(segment, filtered, references, part, bias)
+                self._row("dead reckoning", name, floor, references, part)
+
+    def _dead_reckoning(
+        self,
+        segment: Segment,
+        filtered: Filtered,
+        references: Mapping[str, FloatArray],
+        origins: IntArray,
+        bias: ImuBias,
+    ) -> dict[str, FloatArray]:
+        """From the measured pose at the origin and the filter's velocity there (both known causally)."""
+        own = self.reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p)
+
+        def start(group: str) -> FloatArray | None:
+            if group == "velocity" or group not in references:
+                return own.get(group)
+            value = references[group][origins].copy()
+            lost = ~np.isfinite(value).all(axis=1)
+            if group in own:
+                value[lost] = own[group][lost]
+            return value
+
+        attitude = start("rotation")
+        assert attitude is not None
+        attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
+        return dead_reckoning(
+            _imu(segment), origins, attitude=attitude, velocity=start("velocity"), position=start("position"),
+            steps=self.steps, bias=bias, gravity=self._gravity,
+        )  # fmt: skip
+
+    def _row(
+        self,
+        label: str,
+        flight: str,
+        predicted: Mapping[str, FloatArray],
+        references: Mapping[str, FloatArray],
+        origins: IntArray,
+    ) -> None:
+        self.rows[label].add(flight, {g: v for g, v in predicted.items() if g in references}, references, origins)
+
+    def _extrapolation(self, flight: Flight) -> None:
+        """Say where a flight leaves the range that the training flights covered."""
+        out = []
+        for name, (low, high) in self.model.domain.items():
+            width = high - low
+            for segment in flight.segments:
+                if name not in segment.channels or not width > 0:
+                    continue
+                values = segment.channels[name]
+                beyond = np.nanmean((values < low - 0.1 * width) | (values > high + 0.1 * width))
+                if beyond > 0.01:
+                    out.append(f"{name} ({beyond:.0%})")
+        if out:
+            self.warnings.append(f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}")
+
+    # ------------------------------------------------------------ result
+
+    def result(self) -> Validation:
+        """Everything that was added up."""
+        tables: dict[str, HorizonTable | None] = {}
+        for label, row in self.rows.items():
+            try:
+                tables[label] = row.table()
+            except DataError as error:
+                if label == "model" and self.groups:
+                    raise
+                tables[label] = None
+                if label == "model":
+                    self.warnings.append(f"no multi-step table: {error}")
+        own = tables["model"]
+        if own is not None and own.diverged:
+            self.warnings.append(f"{own.diverged} open-loop predictions were not finite: their error is infinite")
+        whiteness, cross, said = self.one_step.tests()
+        self.warnings += said
+        return Validation(
+            model=self.model.name, file=self.model.source or None, flights=self.flights,
+            sample_time=self.model.sample_time, horizons=self.wanted, table=own, persistence=tables["persistence"],
+            dead_reckoning=tables["dead reckoning"], measured_start=tables["measured start"],
+            one_step=self.one_step.metrics(), whiteness=whiteness, cross_correlation=cross,
+            coverage=self.one_step.coverage(), adapted_seconds=self.adapt, adaptation=self.adaptation,
+            warnings=tuple(self.warnings),
+        )  # fmt: skip
+
+
+def _without(segment: Segment, names: Collection[str]) -> Segment:
+    """The segment without these channels: neither the filter nor its start may see them."""
+    return Segment(
+        t=segment.t, channels={n: v for n, v in segment.channels.items() if n not in names}, flight=segment.flight,
+        extra=segment.extra,
+    )  # fmt: skip
+
+
+def _has(channels: Sequence[str], *groups: str) -> bool:
+    return all(c in channels for g in groups for c in GROUPS[g].columns)
+
+
+def _matrix(segment: Segment, group: str) -> FloatArray:
+    """Values (N, dimension) of a group; NaN where not measured, and everywhere where a column is absent."""
+    return segment.matrix(GROUPS[group].columns, missing_ok=True)
+
+
+def _imu(segment: Segment) -> ImuRecord:
+    return ImuRecord.of(_matrix(segment, "rate"), _matrix(segment, "specific_force"), sample_time=segment.dt)
+
+
+def _share(dataset: Dataset, group: str) -> float:
+    """Share of samples with a reference, over the flights that have the group at all."""
+    seen, count = 0, 0
+    for segment in dataset.segments:
+        there = np.isfinite(_matrix(segment, group)).all(axis=1)
+        if there.any():
+            seen, count = seen + int(there.sum()), count + segment.n
+    return seen / count if count else 1.0
