@@ -8,9 +8,11 @@ Each function takes a `Problem` and gives a start vector (n,) in the order of it
 from __future__ import annotations
 
 import concurrent.futures
+import functools
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.optimize
@@ -20,10 +22,10 @@ from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import Linearisation, Riccati, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import start_of
-from greybox.estimation.problem import Problem
-from greybox.estimation.record import Record
+from greybox.estimation.problem import IndexArray, Problem
+from greybox.estimation.record import Record, hold_missing
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
-from greybox.estimation.status import Code, Status
+from greybox.estimation.status import Status
 from greybox.symbolic import FloatArray
 
 
@@ -168,3 +170,228 @@ def _least_squares(seen: FloatArray, responses: FloatArray) -> FloatArray:
     reach = np.maximum(np.abs(x[good]).max(axis=0, initial=0.0), 1e-300)
     factors, _ = scipy.optimize.nnls(x[good] / reach, y[good], maxiter=50 * len(responses))
     return factors / reach
+
+
+# ---------------------------------------------------------------------------------------------------- equation error
+
+
+def equation_error(
+    problem: Problem,
+    *,
+    theta: FloatArray | None = None,
+    instruments: Sequence[str] | None = None,
+    lags: int = 10,
+    stride: int = 1,
+    steps: int = 5,
+    trust: float = 30.0,
+) -> FloatArray:
+    """Start vector whose model parameters fit the step from one (nearly) measured state to the next.
+
+    The filter runs with process noise `trust` times its start level, so that its state follows the measurements, and
+    with the gain held; up to `steps` Gauss-Newton steps on the model parameters alone, priors and bounds included, each
+    halved while it does not lower the cost. (Klein and Morelli 2006, Aircraft System Identification, ch. 5.)
+
+    Under feedback the regressors carry the noise of the equation and the estimates are biased. With `instruments`
+    (columns of the log that noise does not reach, such as setpoints; with `lags` delayed copies, `stride` samples
+    apart) the sensitivities are first projected on them: two-stage least squares (Soderstrom and Stoica 1983,
+    Instrumental Variable Methods for System Identification, ch. 3; Gilson and Van den Hof 2005, Automatica 41(2)).
+    Raises `UnknownNameError` for a column that is not there and `DataError` for instruments that never move.
+    """
+    theta = np.clip(np.array(problem.start if theta is None else theta, dtype=np.float64), problem.lower, problem.upper)
+    if not any(u.kind == "parameter" for u in problem.unknowns):
+        return theta
+    process, sensor = problem.noise_levels(theta)
+    basis = None if instruments is None else _instruments(problem, instruments, lags, stride)
+    for _ in range(steps):
+        riccati, _ = _filter(problem, theta, trust * process, sensor)
+        equations = _Equations(problem=problem, riccati=riccati, basis=basis)
+        e, jacobian = equations.errors(theta, True)
+        count = np.maximum(sum(r.mask.sum(axis=0) for r in problem.records), 1)
+        variance = np.maximum((e * e).sum(axis=0) / count, 1e-300)
+        cost, gradient, hessian = equations.cost(theta, e, variance, jacobian)
+        at = equations.chosen
+        x, lower, upper = theta[at], problem.lower[at], problem.upper[at]
+        held = ((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0))
+        step = damped_step(gradient, hessian, held, 1e-9)
+        for _ in range(12):
+            new = theta.copy()
+            new[at] = np.clip(x + step, lower, upper)
+            try:
+                value, _, _ = equations.cost(new, equations.errors(new, False)[0], variance, None)
+            except FitError:
+                value = np.inf
+            if value < cost:
+                break
+            step = 0.5 * step
+        else:
+            break
+        theta = new
+        if cost - value < 0.5:
+            break
+    return theta
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Equations:
+    """Errors of all records stacked, under one held gain; `basis` (N, n_z) is orthonormal or None."""
+
+    problem: Problem
+    riccati: Riccati
+    basis: FloatArray | None
+
+    @property
+    def chosen(self) -> IndexArray:
+        """Places of the model parameters among the unknowns, (n_c,)."""
+        return np.flatnonzero([u.kind == "parameter" for u in self.problem.unknowns])
+
+    def errors(self, theta: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """(e (N, n_e), d e/d model parameters (N, n_e, n_c) or None)."""
+        rows, slopes = [], []
+        for i in range(len(self.problem.records)):
+            record, e, de = _pass(self.problem, theta, self.riccati, i, jacobian)
+            rows.append(e)
+            if de is not None:
+                columns = np.searchsorted(self.chosen, self.problem.local_columns(record.flight))
+                if np.array_equal(columns, np.arange(self.chosen.size)):
+                    slopes.append(de)
+                    continue
+                wide = np.zeros((*e.shape, self.chosen.size))
+                wide[:, :, columns] = de
+                slopes.append(wide)
+        return np.concatenate(rows), np.concatenate(slopes) if slopes else None
+
+    def cost(
+        self, theta: FloatArray, e: FloatArray, variance: FloatArray, jacobian: FloatArray | None
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Weighted squares of the errors (of their part that the instruments explain) and of the priors."""
+        unknowns = [self.problem.unknowns[i] for i in self.chosen]
+        precision = np.array([u.sigma**-2 if np.isfinite(u.sigma) else 0.0 for u in unknowns])
+        off = np.array([t - u.mean if p > 0 else 0.0 for t, u, p in zip(theta[self.chosen], unknowns, precision)])
+        cost, gradient, hessian = 0.5 * float((precision * off * off).sum()), precision * off, np.diag(precision)
+        for j, v in enumerate(variance):
+            part = e[:, j] if self.basis is None else self.basis.T @ e[:, j]
+            cost += 0.5 * float(part @ part) / v
+            if jacobian is not None:
+                slope = jacobian[:, j] if self.basis is None else self.basis.T @ jacobian[:, j]
+                gradient = gradient + slope.T @ part / v
+                hessian = hessian + slope.T @ slope / v
+        return cost, gradient, hessian
+
+
+def _instruments(problem: Problem, names: Sequence[str], lags: int, stride: int) -> FloatArray:
+    """Orthonormal basis (N, n_z) of the instruments' delayed copies and a constant, all records stacked."""
+    parts = []
+    for record in problem.records:
+        z, _ = hold_missing(np.column_stack([record.segment.column(n) for n in names]))
+        copies = [np.ones((record.n, 1))]
+        for lag in range(lags + 1):
+            shift = lag * stride
+            copies.append(np.concatenate([np.repeat(z[:1], min(shift, record.n), 0), z])[: record.n])
+        parts.append(np.concatenate(copies, axis=1))
+    table = np.concatenate(parts)
+    if not np.isfinite(table).all():
+        raise DataError(f"instrument without values among {', '.join(names)}")
+    table[:, 1:] -= table[:, 1:].mean(axis=0)
+    size = np.linalg.norm(table, axis=0)
+    if not (size[1:] > 1e-9 * np.sqrt(len(table))).any():
+        raise DataError(f"instruments that never move: {', '.join(names)}", fix="name columns with excitation")
+    u, sigma, _ = np.linalg.svd(table / np.maximum(size, 1e-300), full_matrices=False)
+    return u[:, sigma > 1e-8 * sigma[0]]
+
+
+# ---------------------------------------------------------------------------------------------------- multistart
+
+
+class Solver(Protocol):
+    """What multistart needs of a solver."""
+
+    def solve(self, problem: Problem, start: FloatArray) -> tuple[FloatArray, Status]:
+        """(estimate, status) from `start`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multistart:
+    """All runs of a multistart, best first: theta (n_runs, n), cost (n_runs,), status per run.
+
+    `spread` is the largest cost minus the smallest among the runs that converged, `agreeing` how many runs reached the
+    best cost within 0.01 (a hundredth of what matters for the estimates).
+    """
+
+    theta: FloatArray
+    cost: FloatArray
+    status: tuple[Status, ...]
+
+    @property
+    def best(self) -> FloatArray:
+        """Estimate of the best run, (n,)."""
+        return self.theta[0]
+
+    @property
+    def agreeing(self) -> int:
+        """Number of runs within 0.01 of the best cost."""
+        return int((self.cost <= self.cost[0] + 0.01).sum())
+
+    @property
+    def spread(self) -> float:
+        """Largest minus smallest cost of the runs that converged; NaN where none did."""
+        good = self.cost[[s.converged for s in self.status]]
+        return float(good.max() - good.min()) if good.size else float("nan")
+
+
+def random_start(problem: Problem, rng: np.random.Generator, base: FloatArray, width: float = 1.0) -> FloatArray:
+    """One random start: parameters within their priors or bounds, noise levels within a factor e^(width/2) or so.
+
+    A finite prior: normal around its mean. Else two finite bounds: uniform between them (of logarithms, where both are
+    positive and a factor 100 or more apart). Else normal around `base` with the declared scale. Initial states stay.
+    """
+    out = np.array(base, dtype=np.float64)
+    for i, u in enumerate(problem.unknowns):
+        draw = rng.standard_normal(), rng.uniform()  # the same number of draws for every unknown
+        if u.kind == "noise":
+            out[i] += 0.5 * width * draw[0]
+        elif u.kind == "parameter":
+            if np.isfinite(u.sigma):
+                out[i] = u.mean + width * u.sigma * draw[0]
+            elif np.isfinite(u.lower) and np.isfinite(u.upper):
+                if u.lower > 0 and u.upper >= 100 * u.lower:
+                    out[i] = u.lower * (u.upper / u.lower) ** draw[1]
+                else:
+                    out[i] = u.lower + (u.upper - u.lower) * draw[1]
+            else:
+                out[i] += width * u.scale * draw[0]
+    return np.clip(out, problem.lower, problem.upper)
+
+
+def multistart(
+    problem: Problem,
+    solver: Solver,
+    *,
+    n: int = 8,
+    seed: int = 0,
+    base: FloatArray | None = None,
+    width: float = 1.0,
+    executor: concurrent.futures.Executor | None = None,
+) -> Multistart:
+    """Solve from `base` (default: the problem's start) and from n - 1 random starts, side by side.
+
+    `executor` defaults to threads, one per core (the compiled recursion runs outside Python's lock). The starts depend
+    on `seed` alone, never on the order in which runs end.
+    """
+    base = problem.start if base is None else base
+    rng = np.random.default_rng(seed)
+    starts = [base, *(random_start(problem, rng, base, width) for _ in range(n - 1))]
+    if executor is None:
+        with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            runs = list(pool.map(functools.partial(_one_run, problem, solver), starts))
+    else:
+        runs = list(executor.map(functools.partial(_one_run, problem, solver), starts))
+    cost = np.array([c for _, c, _ in runs])
+    order = np.argsort(cost, kind="stable")
+    return Multistart(
+        theta=np.array([runs[i][0] for i in order]), cost=cost[order], status=tuple(runs[i][2] for i in order)
+    )
+
+
+def _one_run(problem: Problem, solver: Solver, start: FloatArray) -> tuple[FloatArray, float, Status]:
+    theta, status = solver.solve(problem, start)
+    return theta, problem.evaluate(theta, 0).cost, status

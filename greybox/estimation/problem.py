@@ -48,7 +48,8 @@ class Block:
 
     e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,) their places among the
     unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing channels and its derivative (n_pat, n_s, n_e,
-    n_e), or None where the criterion estimates the weights itself; pattern (n,).
+    n_e), or None where the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives
+    decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s).
     """
 
     record: Record
@@ -59,6 +60,8 @@ class Block:
     covariance: FloatArray | None
     covariance_slope: FloatArray | None
     pattern: npt.NDArray[np.int32]
+    variance: FloatArray | None = None
+    variance_slope: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,5 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.criteria.least_squares import LeastSquares
+from greybox.estimation.criteria.robust import Robust
 
-CRITERIA: Mapping[str, Any] = {"gaussian": Gaussian}
+CRITERIA: Mapping[str, Any] = {"gaussian": Gaussian, "least-squares": LeastSquares, "robust": Robust}

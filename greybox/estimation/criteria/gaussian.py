@@ -8,7 +8,7 @@ not, S is diagonal and concentrated out: sigma_i^2 = mean of e_i^2 over all reco
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,17 @@ class Gaussian:
         """(rho(z), rho'(z)/z) for whitened residuals; here z^2/2 and 1."""
         return 0.5 * z * z, np.ones_like(z)
 
+    def variances(self, blocks: list[Block]) -> FloatArray:
+        """Concentrated variance per channel (n_e,), 1 where a channel is never measured."""
+        total = sum((b.e * b.e).sum(axis=0) for b in blocks)
+        count = sum(b.mask.sum(axis=0) for b in blocks)
+        return np.where(count > 0, np.maximum(total / np.maximum(count, 1), 1e-300), 1.0)
+
     def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
         """Sum over all records."""
         blocks = list(blocks)
-        if any(b.covariance is None for b in blocks):
-            blocks = [_weighted(b, variance) for variance in [_variances(blocks)] for b in blocks]
+        if any(b.covariance is None and b.variance is None for b in blocks):
+            blocks = [weighted(b, variance) for variance in [self.variances(blocks)] for b in blocks]
         n = problem.n
         cost = 0.0
         gradient, hessian = np.zeros(n), np.zeros((n, n))
@@ -54,7 +60,33 @@ class Gaussian:
             scores=np.concatenate(rows) if rows else None,
         )  # fmt: skip
 
+    def _decorrelated(
+        self, b: Block, order: int, scores: int | None
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """As `_block` for residuals with a variance of their own per sample and channel."""
+        assert b.variance is not None
+        (n, ne), ns = b.e.shape, b.columns.size
+        root = np.sqrt(b.variance)
+        z = b.e / root
+        rho, weight = self.loss(z)
+        cost = 0.5 * LOG_2PI * float(b.mask.sum()) + float(rho.sum()) + float(np.log(root).sum())
+        size = scores or n
+        table = np.zeros((-(-n // size), ns))
+        if not order:
+            return cost, np.zeros(ns), np.zeros((ns, ns)), table
+        assert b.jacobian is not None and b.variance_slope is not None
+        jz = b.jacobian / root[:, :, None]
+        flat = (jz * np.sqrt(weight)[:, :, None]).reshape(n * ne, ns)
+        half = (0.5 * b.variance_slope / b.variance[:, :, None]).reshape(n * ne, ns)  # d ln(root)
+        there = b.mask != 0
+        per_sample = np.einsum("nis,ni->ns", jz, weight * z)
+        per_sample -= np.einsum("nis,ni->ns", half.reshape(n, ne, ns), weight * z * z - there)
+        np.add.at(table, np.arange(n) // size, per_sample)
+        return cost, per_sample.sum(axis=0), flat.T @ flat + 2.0 * half.T @ half, table
+
     def _block(self, b: Block, order: int, scores: int | None) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        if b.variance is not None:
+            return self._decorrelated(b, order, scores)
         assert b.covariance is not None
         n, ns = b.e.shape[0], b.columns.size
         cost = 0.5 * LOG_2PI * float(b.mask.sum())
@@ -84,22 +116,16 @@ class Gaussian:
                 hessian += 0.5 * at.size * flat_m @ flat_m.T
                 there = b.mask[at[0]] != 0
                 outer = (weight * z)[:, :, None] * z[:, None, :] - np.diag(there.astype(float))
-                per_sample = per_sample - 0.5 * outer.reshape(at.size, -1) @ flat_m.T
+                # d L = L tril(m) with half the diagonal; for the Gaussian loss both triangles add up to m / 2.
+                lower = (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(ns, -1)
+                per_sample = per_sample - outer.reshape(at.size, -1) @ lower.T
             gradient += per_sample.sum(axis=0)
             np.add.at(table, at // size, per_sample)
         return cost, gradient, hessian, table
 
 
-def _variances(blocks: list[Block]) -> FloatArray:
-    """Concentrated variance per channel; 1 where a channel is never measured."""
-    total = sum((b.e * b.e).sum(axis=0) for b in blocks)
-    count = sum(b.mask.sum(axis=0) for b in blocks)
-    return np.where(count > 0, np.maximum(total / np.maximum(count, 1), 1e-300), 1.0)
-
-
-def _weighted(b: Block, variance: FloatArray) -> Block:
-    from dataclasses import replace
-
+def weighted(b: Block, variance: FloatArray) -> Block:
+    """The block with a fixed diagonal covariance: `variance` (n_e,) per channel."""
     patterns = b.record.patterns
     covariance = np.array([np.diag(np.where(m != 0, variance, 1.0)) for m in patterns])
     return replace(b, covariance=covariance, pattern=b.record.pattern)

@@ -56,7 +56,9 @@ class KStep:
                 want=frozenset({"states", "state_sensitivity"}),
             )  # fmt: skip
             if passed.failed_at is not None:
-                raise FitError(f"the prediction of flight {record.flight} is not finite after sample {passed.failed_at}")
+                raise FitError(
+                    f"the prediction of flight {record.flight} is not finite after sample {passed.failed_at}"
+                )
             k = min(self.k, record.n)
             rows = np.arange(record.n - k + 1)
             tails = np.ones(rows.size, dtype=np.int32)

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
+from greybox.estimation.solvers.gauss_newton import GaussNewton
+from greybox.estimation.solvers.ipopt import Ipopt
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.scipy_trf import ScipyTrf
 
-SOLVERS: Mapping[str, Any] = {"levenberg-marquardt": LevenbergMarquardt}
+SOLVERS: Mapping[str, Any] = {
+    "levenberg-marquardt": LevenbergMarquardt,
+    "gauss-newton": GaussNewton,
+    "scipy-trf": ScipyTrf,
+    "ipopt": Ipopt,
+    "ipopt-exact": functools.partial(Ipopt, name="ipopt-exact", hessian="exact"),
+}
