@@ -1,0 +1,156 @@
+"""Two derivations, one flight: the CasADi model and the NumPy plant that shares no line with it see the same second.
+
+They were written apart from the same statement of the physics. Where they differ, one of them is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from craft import CROOKED, flat, function, model_of, state, vector
+
+from greybox.model.effects import CATALOGUE
+from scenarios.plants.battery import Battery
+from scenarios.plants.effects import CATALOGUE as PLANT_CATALOGUE
+from scenarios.plants.quadrotor import Quadrotor
+
+DT = 0.005
+N = 200
+PLANT_EFFECTS = {e.name: e for e in PLANT_CATALOGUE}
+VALUES = {
+    "command_delay": {"d": 4 * DT},
+    "thrust_curve": {"f": 0.35},
+    "motor_lag": {"tau": 0.03},
+    "battery_sag": {"c_V": 0.8},
+    "rotor_asymmetry": {"delta_1": 0.03, "delta_2": -0.05, "delta_3": 0.04},
+    "center_of_mass_offset": {"c_x": 4e-3, "c_y": -3e-3, "c_z": 5e-3},
+    "rotor_drag": {"k_x": 3e-5, "k_y": 2e-5},
+    "blade_flapping": {"k_flap": 2e-6},
+    "rotational_damping": {"d_p": 3e-3, "d_q": 2e-3, "d_r": 1e-3},
+    "constant_force": {"f_x": 0.3, "f_y": -0.2, "f_z": 0.1},
+    "imu_misalignment": {"theta_x": 0.05, "theta_y": -0.08, "theta_z": 0.6},
+    "mocap_misalignment": {"theta_x": -0.05, "theta_y": 0.4, "theta_z": 0.1},
+    "accelerometer_bias": {"b_x": 0.1, "b_y": -0.2, "b_z": 0.3},
+    "gyro_bias": {"b_x": 0.01, "b_y": -0.02, "b_z": 0.03},
+}
+BATTERY = Battery(full=12.5, empty=10.2, capacity=60.0, resistance=0.03, idle_current=0.4, full_current=60.0)
+
+
+def in_the_plant(name, values):
+    """The plant's effect; it lists the asymmetry of all rotors."""
+    if name == "rotor_asymmetry":
+        deltas = list(values.values())
+        return PLANT_EFFECTS[name](delta=(*deltas, -sum(deltas)))
+    extra = {"nominal_voltage": CROOKED.nominal_voltage} if name == "battery_sag" else {}
+    return PLANT_EFFECTS[name](**values, **extra)
+
+
+def commands(n, seed):
+    """Hover plus a held random push on every rotor: fast enough to be felt, slow enough to stay in the air."""
+    rng = np.random.default_rng(seed)
+    return CROOKED.hover_speed + np.repeat(rng.uniform(-0.03, 0.03, size=(n // 4 + 1, 4)), 4, axis=0)[:n]
+
+
+@cache
+def flown(name, seed=1):
+    """(rows of the plant's log, rows that the model predicts from the same start, output names)."""
+    return fly({} if name is None else {name: VALUES[name]}, seed)
+
+
+def fly(effects, seed=1, substep=DT / 5):
+    plant = Quadrotor(
+        CROOKED, [in_the_plant(n, v) for n, v in effects.items()], battery=BATTERY, sample_time=DT, substep=substep
+    )
+    tilt = np.array([0.95, 0.1, -0.2, 0.15])
+    start = {
+        "position": (0.2, -0.1, 5.0),
+        "velocity": (2.0, -1.5, 0.5),
+        "attitude": tuple(tilt / np.linalg.norm(tilt)),
+        "rates": (1.0, -0.7, 0.5),
+    }
+    plant.reset(0, **start)
+    model = model_of(CROOKED, *effects, dt=DT)
+    p = vector(model, **{f"{n}__{k}": v for n, own in effects.items() for k, v in own.items()})
+    u = commands(N, seed)
+    seen, inputs = [], []
+    first_rotors = [plant.states()[f"nu{i + 1}"] for i in range(4)]
+    for k in range(N):
+        row = plant.measure(u[k])
+        seen.append([row[c] for c in model.outputs.names])
+        inputs.append([*u[k], row["vbat"]] if "vbat" in model.inputs else u[k])
+        plant.step(u[k])
+    past = model.window[0]
+    held_before = np.array(inputs[0])
+    held_before[:4] = CROOKED.hover_speed
+    padded = np.vstack([np.tile(held_before, (past, 1)), np.array(inputs)])
+    x = state(
+        model, position=start["position"], velocity=start["velocity"], attitude=start["attitude"],
+        rate=start["rates"], rotor=first_rotors,
+    )  # fmt: skip
+    step, output = function(model, "step"), function(model, "output")
+    predicted = []
+    for k in range(N):
+        window = padded[k : k + past + 1].T
+        predicted.append(flat(output(x, window, p, np.zeros(6), DT)))
+        x = flat(step(x, window, p, np.zeros(6), DT))
+    return np.array(seen), np.array(predicted), model.outputs.names
+
+
+SCALE = {"x": 1, "v": 1, "q": 1, "p": 1, "r": 1, "a": 10, "o": 1000, "y": 1, "z": 1}
+
+
+def largest_difference(seen, predicted, names):
+    """Per column, relative to the size of such a signal (1 m, 1 m/s, 1 rad/s, 10 m/s^2, 1000 rad/s)."""
+    return {n: float(np.abs(d).max()) / SCALE[n[0]] for n, d in zip(names, (seen - predicted).T, strict=True)}
+
+
+@pytest.mark.parametrize("name", [None, *(e.name for e in CATALOGUE if e.name in PLANT_EFFECTS)])
+def test_a_second_of_flight_is_the_same(name):
+    difference = largest_difference(*flown(name))
+    assert max(difference.values()) < 1e-6, difference
+
+
+def test_with_the_same_steps_they_differ_by_rounding_alone():
+    difference = largest_difference(*fly({k: v for k, v in VALUES.items() if k != "motor_lag"}, substep=DT))
+    assert max(difference.values()) < 1e-12, difference
+
+
+@pytest.mark.parametrize("name", [e.name for e in CATALOGUE if e.name in PLANT_EFFECTS])
+def test_the_effect_was_really_there(name):
+    """Without it the same second looks different by far more than the agreement above."""
+    seen, _, names = flown(name)
+    plain, _, plain_names = flown(None)
+    assert names == plain_names
+    assert max(largest_difference(seen, plain, names).values()) > 1e-3
+
+
+def test_every_effect_that_a_plant_can_hide_is_compared():
+    assert {e.name for e in CATALOGUE} & set(PLANT_EFFECTS) <= set(VALUES)
+    assert len(set(VALUES) & set(PLANT_EFFECTS)) >= 14
+
+
+def test_all_effects_at_once_agree_too():
+    everything = {k: v for k, v in VALUES.items() if k in PLANT_EFFECTS}
+    difference = largest_difference(*fly(everything))
+    assert max(difference.values()) < 1e-6, difference
+
+
+@pytest.mark.parametrize(("share", "tau", "close"), [(0.25, 0.03, 2e-6), (0.6, 0.03, 2e-6), (0.6, 0.8 * DT, 1e-4)])
+def test_a_delay_of_a_fraction_of_a_sample_agrees_through_a_lag(share, tau, close):
+    """The rotor is exact; thrust, its square, follows the straight line with the rotor's mean and first moment."""
+    effects = {"command_delay": {"d": (2 + share) * DT}, "motor_lag": {"tau": tau}}
+    difference = largest_difference(*fly(effects))
+    assert max(v for k, v in difference.items() if k.startswith("omega")) < 1e-12
+    assert max(difference.values()) < close, difference
+
+
+def test_the_flight_was_worth_comparing():
+    seen, _, names = flown(None)
+    at = {n: i for i, n in enumerate(names)}
+    assert np.isfinite(seen).all()
+    assert np.abs(seen[:, [at[n] for n in "pqr"]]).max() > 2.0
+    assert np.ptp(seen[:, at["qz"]]) > 0.1
+    assert math.isfinite(seen[-1, at["x"]])
