@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import UnknownNameError
-from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured
+from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured, scaled_inverse
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
 from greybox.estimation.predictors import PREDICTORS
@@ -37,7 +37,11 @@ Progress = Callable[[int, float, float], None]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there)."""
+    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there).
+
+    `prior_influence` is the share of the precision that the priors (of all parameters together) brought: 0 = the data
+    alone, 1 = the data say nothing. Of a per-flight parameter, `value` and `std` are mean and spread over flights.
+    """
 
     name: str
     value: float
@@ -268,7 +272,8 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
         whitened.append(e)
     coloured = is_coloured(whitened)
     matrix = spread.chosen(coloured)
-    estimates = _estimates(problem, theta, matrix, spread.fisher, held, precision)
+    alone = _without_priors(problem, value.hessian, precision, held)
+    estimates = _estimates(problem, theta, matrix, spread.fisher, held, alone)
     if not status.converged:
         warnings.insert(0, status.advice)
     warnings += [
@@ -286,7 +291,7 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
     information = marginal_information(data_hessian, keep)
     combinations = unidentified(information, labels, [theta[i] for i in keep])
     for c in combinations:
-        decided = all(np.isfinite(problem.unknowns[keep[labels.index(n)]].sigma) for n in c.names)
+        decided = any(np.isfinite(problem.unknowns[keep[labels.index(n)]].sigma) for n in c.names)
         warnings.append(f"not identified by these data: {c.text}" + ("; the priors decide" if decided else ""))
     shared = [i for i in keep if problem.unknowns[i].flight is None]
     names = tuple(problem.unknowns[i].name for i in shared)
@@ -316,8 +321,22 @@ def _label(u: Any) -> str:
     return u.name if u.flight is None else f"{u.name} ({u.flight})"
 
 
+def _without_priors(
+    problem: Problem, hessian: FloatArray | None, precision: FloatArray, held: BoolArray
+) -> FloatArray:
+    """Variance of every unknown with the priors of all model parameters taken away (n,); infinite where data are silent."""
+    out = np.full(problem.n, np.inf)
+    if hessian is None:
+        return out
+    prior = np.where([u.kind == "parameter" for u in problem.unknowns], precision, 0.0)
+    free = ~held
+    inverse, empty = scaled_inverse((hessian - np.diag(prior))[np.ix_(free, free)])
+    out[free] = np.where(empty, np.inf, np.diag(inverse))
+    return out
+
+
 def _estimates(
-    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: BoolArray, precision: FloatArray
+    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: BoolArray, alone: FloatArray
 ) -> dict[str, Estimate]:
     out: dict[str, Estimate] = {}
     by_name: dict[str, list[int]] = {}
@@ -334,7 +353,8 @@ def _estimates(
             continue
         first = problem.unknowns[places[0]]
         has_prior = bool(np.isfinite(first.sigma))
-        influence = float(np.mean([min(fisher[i, i] * precision[i], 1.0) for i in places])) if has_prior else 0.0
+        shares = [1.0 - fisher[i, i] / alone[i] if alone[i] > 0 else 0.0 for i in places if not held[i]]
+        influence = float(np.clip(np.mean(shares), 0.0, 1.0)) if shares else 0.0
         common: dict[str, Any] = {
             "name": d.name, "unit": d.unit, "prior": (first.mean, first.sigma) if has_prior else None,
             "prior_influence": influence, "at_bound": bool(held[places].any()),
