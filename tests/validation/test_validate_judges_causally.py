@@ -74,7 +74,9 @@ def test_the_true_model_predicts_its_own_flight_exactly() -> None:
     result = validate(model, dataset(fly(model, 200)), measured_start=True, use_compiler=False)
     assert set(result.table.groups) == {"position", "velocity", "rotation", "rate"}
     for table in (result.table, result.measured_start):
-        assert all(e.mae.max() < 3e-5 for e in table.groups.values())
+        # The velocity starts from a line through the first tenth of a second of positions: not exact.
+        limit = {"position": 3e-4, "velocity": 5e-4, "rotation": 1e-5, "rate": 1e-5}
+        assert {g: e.mae.max() for g, e in table.groups.items() if e.mae.max() > limit[g]} == {}
     assert result.table.groups["rate"].origins == 200 - 50 - 9
     assert result.persistence.groups["position"].mae[-1] > 1e-4
     assert "rate" not in result.dead_reckoning.groups
