@@ -83,10 +83,21 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
                 rate=view.rate,
             )
         )
+    findings, unjudged = _without_consequences(findings, unjudged)
     findings.sort(key=lambda f: SEVERITIES.index(f.severity))
     return CheckReport(
         vehicle=vehicle.name, flights=tuple(flights), findings=tuple(findings), not_judged=tuple(unjudged)
     )
+
+
+def _without_consequences(findings: list[Finding], unjudged: list[Unjudged]) -> tuple[list[Finding], list[Unjudged]]:
+    """Motors are not judged by a gyro whose axes, unit or clock are wrong."""
+    broken = {f.flight for f in findings if f.severity == "blocking" and f.check in ("attitude", "alignment")}
+    gyro = {f.flight for f in findings if f.flight in broken and f.severity == "blocking" and "p, q, r" in f.where}
+    dropped = {f.flight for f in findings if f.check == "motors" and f.flight in gyro}
+    kept = [f for f in findings if not (f.check == "motors" and f.flight in gyro)]
+    reason = "the gyro's axes, unit or clock are wrong"
+    return kept, unjudged + [Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)]
 
 
 def check_logs(paths: Iterable[str | os.PathLike[str]], vehicle: Airframe) -> CheckReport:

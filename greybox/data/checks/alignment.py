@@ -105,6 +105,19 @@ def _answers(view: View, offset: float | None) -> Iterator[Finding | Unjudged]:
         return
     found = torque_regression(view)
     evidence: dict[str, float] = {}
+    if found is not None and found.misaligned:
+        lag = found.searched_lag
+        yield Finding(
+            check="alignment",
+            severity="blocking",
+            flight=view.name,
+            where="p, q, r against the commands",
+            message=f"the motion fits the commands best {abs(lag) * 1e3:.0f} ms {'after' if lag > 0 else 'before'} them, "
+            "which no craft does: they are not on one clock",
+            evidence={"lag_s": lag, "share": found.searched_share, "share_plausible": found.plausible_share},
+            fix="shift the commands against the sensors, or log both on one clock",
+        )
+        return
     if found is not None:
         for axis, name in enumerate(("p", "q", "r")):
             if found.share[axis] >= ANSWERS:

@@ -10,9 +10,10 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data.checks.finding import Check, Finding, Unjudged
-from greybox.data.checks.signals import attitude_rate, products, smoothed
+from greybox.data.checks.signals import attitude_rate, best_lag, products, smoothed
 from greybox.data.checks.view import FloatArray, View
 
 HALF_WINDOW = 0.02
@@ -21,8 +22,8 @@ HALF_WINDOW = 0.02
 LARGEST_LAG = 0.15
 """Streams may be this far apart [s] when readings are compared."""
 
-LEAD = 0.15
-"""A reading must beat the one given by this much correlation."""
+LEAD = 0.05
+"""A reading must beat the one given by this much correlation, and beat it in three quarters of the flight."""
 
 SEEN = 0.5
 """... and have at least this correlation itself."""
@@ -65,6 +66,14 @@ def _axes(correlations: FloatArray) -> Iterator[tuple[str, float]]:
                 yield text, float((correlations[:, range(3), order] @ np.array(signs)).max())
 
 
+def _quarters_won(other: FloatArray, given: FloatArray, gyro: FloatArray, lags: npt.NDArray[np.int64]) -> int:
+    """In how many quarters of the flight another reading fits the gyro better than the one given."""
+    won = 0
+    for rows in np.array_split(np.arange(gyro.shape[0]), 4):
+        won += best_lag(other[rows], gyro[rows], lags)[1] > best_lag(given[rows], gyro[rows], lags)[1]
+    return won
+
+
 def run(view: View) -> Iterator[Finding | Unjudged]:
     """Findings on quaternion order and direction, gyro axes and gyro unit."""
     if not view.has("attitude") or not view.has("rate"):
@@ -86,7 +95,8 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     best = max(scores, key=lambda s: s[1])
     axes = max(_axes(scores[0][3]), key=lambda s: s[1])
     evidence = {"correlation_as_given": given, "correlation_other_order": best[1], "correlation_other_axes": axes[1]}
-    if best[1] > max(given + LEAD, SEEN) and best[1] > axes[1] - 0.05:
+    steady = _quarters_won(best[2], given_rate, gyro, lags) >= 3
+    if best[1] > max(given + LEAD, SEEN) and best[1] > axes[1] - 0.05 and steady:
         yield Finding(
             check="attitude",
             severity="blocking",
@@ -97,7 +107,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             fix="correct the order or the signs of the quaternion in [columns] (body to world, scalar first)",
         )
         return
-    if axes[1] > max(given + LEAD, SEEN):
+    if axes[1] > max(given + 3 * LEAD, SEEN):
         yield Finding(
             check="attitude",
             severity="blocking",

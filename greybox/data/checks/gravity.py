@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.signals import correlation, derivative, smoothed
 from greybox.data.checks.view import FloatArray, View
@@ -17,6 +18,11 @@ TILT = (10.0, 45.0)
 
 FAST = 0.2
 """Vertical motion below this [m/s RMS] shows nothing."""
+
+DEEP = 0.1
+"""Flying this far [m] below the ground means that z points down."""
+
+DOWN = "negate z (and y, vz, vy: north-east-down to east-north-up) in [columns]"
 
 
 def _finding(view: View, severity: str, message: str, fix: str, evidence: dict[str, float], where: str) -> Finding:
@@ -73,6 +79,25 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     yield from _up(view, force, evidence)
 
 
+def _below_the_ground(view: View) -> float | None:
+    """How far [m] the craft flies below every place where its motors stood still; None where that is not seen."""
+    log = view.increasing
+    names = group_names("command", len(view.vehicle.rotors))
+    mean = np.mean([log.channels[n] for n in names], axis=0) - view.vehicle.actuator.u_min
+    z = log.channels["z"]
+    level = float(np.nanmedian(mean[mean > 0.3 * np.nanpercentile(mean, 95)]))
+    flown = z[(mean > 0.7 * level) & np.isfinite(z)]
+    half = log.n // 2
+    stood = [part for rows in (slice(0, half), slice(half, None)) if (part := _idle(mean, z, level, rows)).size >= 10]
+    if flown.size < 10 or not stood:
+        return None
+    return min(float(np.median(part)) for part in stood) - float(np.median(flown))
+
+
+def _idle(mean: FloatArray, z: FloatArray, level: float, rows: slice) -> FloatArray:
+    return z[rows][(mean[rows] < 0.1 * level) & np.isfinite(z[rows])]
+
+
 def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[Finding]:
     """The same in the world: mean specific force must point up, and climbing must need more of it."""
     if view.has("attitude"):
@@ -94,6 +119,11 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
     name = "z" if view.flight is not None and "z" in view.flight.channels else None
     if name is None:
         return
+    depth = _below_the_ground(view)
+    if depth is not None and depth > DEEP:
+        text = f"the craft flies {depth:.2f} m below the place where it stood: the world's z points down"
+        yield _finding(view, "blocking", text, DOWN, {**evidence, "depth_m": depth}, "z")
+        return
     half = max(1, round(0.1 / view.dt))
     climb = derivative(view.joined(["z"]), view.dt, half)
     if np.isfinite(climb).sum() < 10 or float(np.nanstd(climb)) < FAST:
@@ -102,8 +132,7 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
     agreement = correlation(smoothed(world[:, 2:3], 2 * half), acceleration)
     if agreement < -0.3:
         text = "the craft climbs where z falls: the world's z points down"
-        fix = "negate z (and y, vz, vy: north-east-down to east-north-up) in [columns]"
-        yield _finding(view, "blocking", text, fix, {**evidence, "correlation": agreement}, "z")
+        yield _finding(view, "blocking", text, DOWN, {**evidence, "correlation": agreement}, "z")
 
 
 CHECK = Check(name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=run)

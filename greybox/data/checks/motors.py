@@ -81,7 +81,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
 
 def _order(view: View, found: Torque, agreement: FloatArray, evidence: dict[str, float]) -> Finding:
     n = found.gains.shape[1]
-    fix = "compare the rotor positions of the vehicle file with the craft and the names u1.. in [columns]"
+    fix = "compare rotor positions and u1.. in [columns] with the craft, and the signs of the gyro axes"
     text = "the torques of the commands do not fit the rotor positions"
     if n <= MOST_ROTORS:
         seen = directions(found.gains)
@@ -95,7 +95,7 @@ def _order(view: View, found: Torque, agreement: FloatArray, evidence: dict[str,
         if float(best[:2].min()) >= AGREE and order != tuple(range(n)):
             moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
             text = f"the motor order is wrong: {', '.join(moved)}"
-            fix = "reorder u1.. in [columns] or the [[rotor]] tables"
+            fix = "reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)"
     return Finding(
         check="motors",
         severity="blocking",

@@ -70,7 +70,7 @@ def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> Float
     """
     n, k = a.shape
     out = np.zeros((lags.size, k, k))
-    known_a, known_b = np.isfinite(a).all(axis=1), np.isfinite(b).all(axis=1)
+    known_a, known_b = np.asarray(np.isfinite(a).all(axis=1)), np.asarray(np.isfinite(b).all(axis=1))
     for i, lag in enumerate(lags.tolist()):
         first, last = max(lag, 0), min(n, n + lag)
         if last - first < MINIMUM:

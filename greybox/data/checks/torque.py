@@ -6,6 +6,7 @@ of the craft (drag), whose moment would otherwise be read as a property of the r
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +18,14 @@ from greybox.data.checks.view import FloatArray, View
 HALF_WINDOW = 0.015
 """Rates are differentiated over twice this time [s]."""
 
+CLEARLY = 1.2
+"""An implausible lag must explain this many times as much as the best plausible one."""
+
 LARGEST_LAG = 0.12
-"""Lags from command to angular acceleration that are tried [s]."""
+"""Lags from command to angular acceleration that a craft can have [s]."""
+
+SEARCHED = (-0.2, 0.35)
+"""Lags that are searched [s]: outside the plausible ones the streams are not on one clock."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,13 +33,24 @@ class Torque:
     """Per axis (roll, pitch, yaw) how the rotors turn the craft.
 
     `gains` (3, n) [rad/s^2 per u^2] of each rotor, `lag` (3,) [s] at which they explain most, `share` (3,) of variance
-    that they explain beyond everything else, `thirds` (3, 3, n) the gains in each third of the flight.
+    that they explain beyond everything else, `thirds` (3, 3, n) the gains in each third of the flight. These use lags that
+    a craft can have; `searched_lag` [s] and `searched_share` are the best of roll and pitch together over all lags, and
+    `plausible_share` the best of these over the plausible ones.
     """
 
     gains: FloatArray
     lag: FloatArray
     share: FloatArray
     thirds: FloatArray
+    searched_lag: float
+    searched_share: float
+    plausible_share: float
+
+    @property
+    def misaligned(self) -> bool:
+        """Whether commands and motion fit clearly better at a lag that no craft has."""
+        outside = not -1e-9 <= self.searched_lag <= LARGEST_LAG + 1e-9
+        return outside and self.searched_share > CLEARLY * self.plausible_share and self.searched_share > 0.15
 
 
 def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -41,6 +59,7 @@ def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(x / scale, y, rcond=1e-2)[0] / scale[:, None], dtype=np.float64)
 
 
+@functools.lru_cache(maxsize=2)
 def torque_regression(view: View) -> Torque | None:
     """The regression over the airborne part; None where fewer than 200 samples are complete."""
     dt = view.dt
@@ -52,9 +71,10 @@ def torque_regression(view: View) -> Torque | None:
     other = np.ones((u.shape[0], 1))
     if view.has("specific_force"):
         other = np.column_stack([smoothed(view.joined(["ax", "ay"]), 2 * half), other])
-    lags = np.arange(round(LARGEST_LAG / dt) + 1)
+    lags = np.arange(round(SEARCHED[0] / dt), round(SEARCHED[1] / dt) + 1)
     known = np.isfinite(turn).all(axis=1) & np.isfinite(other).all(axis=1)
-    known &= np.isfinite(shifted(u, int(lags[-1]))).all(axis=1) & np.isfinite(u).all(axis=1)
+    for lag in (lags[0], 0, lags[-1]):
+        known &= np.isfinite(shifted(u, int(lag))).all(axis=1)
     if known.sum() < 200:
         return None
     y = turn[known]
@@ -67,7 +87,8 @@ def torque_regression(view: View) -> Torque | None:
         b = _solve(x, rest)
         shares[i] = (base - ((rest - x @ b) ** 2).sum(axis=0)) / np.maximum(total, 1e-300)
         gains[i] = b.T
-    best = shares.argmax(axis=0)
+    plausible = np.flatnonzero((lags >= 0) & (lags * dt <= LARGEST_LAG + 1e-9))
+    best = plausible[shares[plausible].argmax(axis=0)]
     thirds = np.zeros((3, 3, n))
     where = np.flatnonzero(known)
     for k, part in enumerate(np.array_split(np.arange(where.size), 3)):
@@ -75,7 +96,16 @@ def torque_regression(view: View) -> Torque | None:
             x = _without(other[where[part]], shifted(u, int(lags[best[axis]]))[where[part]])
             thirds[k, axis] = _solve(x, _without(other[where[part]], y[part]))[:, axis]
     axes = np.arange(3)
-    return Torque(gains=gains[best, axes], lag=lags[best] * dt, share=shares[best, axes], thirds=thirds)
+    both = shares[:, :2].mean(axis=1)
+    return Torque(
+        gains=gains[best, axes],
+        lag=lags[best] * dt,
+        share=shares[best, axes],
+        thirds=thirds,
+        searched_lag=float(lags[both.argmax()] * dt),
+        searched_share=float(both.max()),
+        plausible_share=float(both[plausible].max()),
+    )
 
 
 def _without(other: FloatArray, y: FloatArray) -> FloatArray:
