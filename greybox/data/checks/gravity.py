@@ -85,7 +85,10 @@ def _below_the_ground(view: View) -> float | None:
     names = group_names("command", len(view.vehicle.rotors))
     mean = np.mean([log.channels[n] for n in names], axis=0) - view.vehicle.actuator.u_min
     z = log.channels["z"]
-    level = float(np.nanmedian(mean[mean > 0.3 * np.nanpercentile(mean, 95)]))
+    running = mean[mean > max(0.3 * float(np.nanpercentile(mean, 95)), 0.0)]
+    if not running.size:
+        return None
+    level = float(np.median(running))
     flown = z[(mean > 0.7 * level) & np.isfinite(z)]
     half = log.n // 2
     stood = [part for rows in (slice(0, half), slice(half, None)) if (part := _idle(mean, z, level, rows)).size >= 10]
