@@ -1,7 +1,6 @@
 """Grey-box identification of small multirotors: physics by the prediction error method, with honest error bars.
 
-The scripting interface in twelve lines is in README.md. Everything here is loaded on first use, so that `import greybox`
-stays quick.
+README.md has the scripting interface in twelve lines. Everything is loaded on first use: `import greybox` is quick.
 """
 
 from __future__ import annotations
@@ -34,7 +33,30 @@ _PUBLIC = {
     "GreyboxError": "greybox.errors",
 }
 
-__all__ = sorted(_PUBLIC)
+__all__ = [
+    "Dataset",
+    "Fit",
+    "Flight",
+    "GreyboxError",
+    "IdentifiedModel",
+    "Layout",
+    "Parameter",
+    "ParameterValues",
+    "PhysicsModel",
+    "Segment",
+    "Signal",
+    "StateSpaceModel",
+    "Vehicle",
+    "build_model",
+    "check",
+    "dataset_from_arrays",
+    "fit",
+    "fit_report",
+    "read_log",
+    "read_logs",
+    "read_vehicle",
+    "validate",
+]
 
 if TYPE_CHECKING:
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
