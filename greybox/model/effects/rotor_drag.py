@@ -21,7 +21,8 @@ class RotorDrag(Effect):
     formula = "F_i = -Omega_i diag(k_x, k_y, 0) v_a,i at hub i"
     references = (
         "Martin and Salaun 2010, The true role of accelerometer feedback in quadrotor control, ICRA",
-        "Faessler, Franchi and Scaramuzza 2018, IEEE Robotics and Automation Letters 3(2)",
+        "Faessler, Franchi and Scaramuzza 2018, Differential flatness of quadrotor dynamics subject to rotor drag for "
+        "accurate tracking of high-speed trajectories, IEEE Robotics and Automation Letters 3(2)",
         "Kai, Allibert, Hua and Hamel 2017, Nonlinear feedback control of quadrotors, IFAC-PapersOnLine 50(1)",
     )
     validity = "airspeed well below the blade tip speed"

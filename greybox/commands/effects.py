@@ -1,0 +1,216 @@
+"""`greybox effects`: the catalogue of physical effects that a model may have, from their declarations.
+
+`python -m greybox.commands.effects --markdown` writes the page docs/effects.md to standard output.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import textwrap
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from greybox.model.effect import SLOTS, Effect
+from greybox.model.effects import CATALOGUE
+from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
+
+SCHEMA = "greybox.effects/1"
+STAGES = {
+    "command": "what becomes of the command before it reaches the motors: delays add, curves form a fixed chain",
+    "rotor": "from command to rotor speed: factors multiply, then at most one lag",
+    "thrust": "from rotor speed to thrust: factors multiply, then increments add",
+    "body": "mass, inertia and centre of mass: one value each, changed by increments",
+    "wrench": "further forces and moments on the body: they add",
+    "sensor": "what the sensors report: a fixed chain of misalignment, scale and bias",
+}
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "effects",
+        help="list the physical effects that a model may have",
+        description="List the catalogue of effects: name, stage, parameters with units, what is needed, references.",
+    )
+    p.add_argument("names", nargs="*", metavar="NAME", help="only these effects (default: all)")
+    p.add_argument("--stage", choices=tuple(STAGES), help="only the effects of one stage")
+    p.add_argument("--json", nargs="?", const="-", metavar="FILE", help="machine-readable, to FILE or standard output")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List the chosen effects. Returns 0. Raises `UnknownNameError` for a name that is not in the catalogue."""
+    from greybox.files import dump_json, write_json
+    from greybox.model.effects import effect_by_name
+
+    chosen = tuple(effect_by_name(n) for n in arguments.names) or CATALOGUE
+    if arguments.stage:
+        chosen = tuple(e for e in chosen if e.stage == arguments.stage)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(catalogue(chosen)))
+        return 0
+    print(text(chosen))
+    if arguments.json:
+        write_json(arguments.json, catalogue(chosen))
+        print(f"written: {arguments.json}")
+    return 0
+
+
+def catalogue(effects: tuple[Effect, ...] = CATALOGUE) -> dict[str, Any]:
+    """Plain values of the declarations (schema "greybox.effects/1"). A bound that is not there is null."""
+    return {"schema": SCHEMA, "effects": [_plain(e) for e in effects]}
+
+
+def _plain(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "stage": effect.stage,
+        "summary": effect.summary,
+        "formula": effect.formula,
+        "parameters": [
+            {
+                "name": f"{effect.name}.{p.name}",
+                "unit": p.unit,
+                "null": p.null,
+                "lower": low,
+                "upper": high,
+                "scope": p.scope,
+                "meaning": p.meaning,
+            }
+            for p, low, high in _rows(effect)
+        ],
+        "needs": {
+            "columns": list(effect.needs.columns),
+            "vehicle": list(effect.needs.vehicle),
+            "sensors": list(effect.needs.sensors),
+        },
+        "tags": sorted(effect.tags),
+        "validity": effect.validity,
+        "references": list(effect.references),
+    }
+
+
+def text(effects: tuple[Effect, ...]) -> str:
+    """The effects by stage, for a terminal."""
+    lines: list[str] = []
+    for stage, meaning in STAGES.items():
+        members = [e for e in effects if e.stage == stage]
+        if not members:
+            continue
+        lines += [f"{stage.upper()}: {meaning}", ""]
+        for e in members:
+            lines += [f"  {e.name}: {e.summary}", f"    {e.formula}"]
+            lines += [f"    {p.name} [{p.unit}]  {p.meaning}{_limits(p, *b)}" for p, *b in _rows(e)]
+            if needs := _needs(e):
+                lines.append(f"    needs {needs}")
+            for reference in e.references:
+                lines += textwrap.wrap(reference, 100, initial_indent="    - ", subsequent_indent="      ")
+            lines.append("")
+    return "\n".join(lines).rstrip()
+
+
+def markdown() -> str:
+    """The page docs/effects.md."""
+    return "\n".join(_page()) + "\n"
+
+
+def _page() -> Iterator[str]:
+    yield "# Effects"
+    yield ""
+    yield (
+        "Physics that the rigid body with rotors does not have by itself and that a fit can add by name "
+        "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines with others in a way "
+        "that does not depend on the order in which they are listed. Generated from the declarations by "
+        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same."
+    )
+    for stage, meaning in STAGES.items():
+        members = [e for e in CATALOGUE if e.stage == stage]
+        if not members:
+            continue
+        yield ""
+        yield f"## Stage {stage}"
+        yield ""
+        yield meaning[0].upper() + meaning[1:] + "."
+        yield ""
+        yield "| effect | what it is | formula | parameters | needs | valid |"
+        yield "|---|---|---|---|---|---|"
+        for e in members:
+            parameters = ", ".join(f"`{p.name}` [{p.unit}]{_limits(p, *b)}" for p, *b in _rows(e))
+            cells = (f"`{e.name}`", e.summary, f"`{e.formula}`", parameters, _needs(e) or "-", e.validity)
+            yield "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
+    yield ""
+    yield "## References"
+    yield ""
+    for e in CATALOGUE:
+        yield f"- `{e.name}`: " + "; ".join(e.references)
+
+
+def _rows(effect: Effect) -> list[tuple[Parameter, float | None, float | None]]:
+    """(declaration, lower, upper); a bound that is not there, or that depends on the vehicle, is None."""
+
+    def fixed(a: float, b: float) -> float | None:
+        return a if math.isfinite(a) and a == b else None
+
+    pairs = zip(effect.parameters(example_vehicle()), effect.parameters(example_vehicle(2.0)), strict=True)
+    return [(p, fixed(p.lower, other.lower), fixed(p.upper, other.upper)) for p, other in pairs]
+
+
+def _limits(p: Parameter, lower: float | None, upper: float | None) -> str:
+    """Bounds and scope, where there are any; a null other than zero."""
+    parts = []
+    if lower is not None and upper is not None:
+        parts.append(f"{lower:g} to {upper:g}")
+    elif lower is not None:
+        parts.append(f"at least {lower:g}")
+    elif upper is not None:
+        parts.append(f"at most {upper:g}")
+    elif math.isfinite(p.lower) or math.isfinite(p.upper):
+        parts.append("bounded by the vehicle's size")
+    if p.null:
+        parts.append(f"null {p.null:g}")
+    if p.scope == "flight":
+        parts.append("per flight")
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _needs(effect: Effect) -> str:
+    needs = effect.needs
+    parts = [f"column {c}" for c in needs.columns] + [f"{fact} in the vehicle file" for fact in needs.vehicle]
+    if needs.sensors:
+        parts.append(f"sensor {' or '.join(needs.sensors)}")
+    return ", ".join(parts)
+
+
+@cache
+def example_vehicle(size: float = 1.0) -> Vehicle:
+    """A quadrotor of round numbers: names and units of parameters do not depend on more than the number of rotors."""
+    arm = 0.1 * size
+    places = ((arm, -arm, 1), (-arm, -arm, -1), (-arm, arm, 1), (arm, arm, -1))
+    return Vehicle.from_dict(
+        {
+            "schema": "greybox.vehicle/1",
+            "name": "example",
+            "mass": 1.0,
+            "inertia": [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.018]],
+            "rotor": [{"position": [x, y, 0.0], "spin": spin} for x, y, spin in places],
+            "actuator": {
+                "thrust": [0.0, 0.0, 5.0],
+                "torque": [0.0, 0.0, 0.1],
+                "speed_max": 1000.0,
+                "rotor_radius": 0.06,
+            },
+            "battery": {"nominal_voltage": 11.1},
+        },
+        where="example vehicle",
+    )
+
+
+if __name__ == "__main__":
+    assert set(STAGES) == set(SLOTS)
+    if sys.argv[1:] != ["--markdown"]:
+        sys.exit("usage: python -m greybox.commands.effects --markdown")
+    sys.stdout.write(markdown())
