@@ -249,7 +249,8 @@ class PhysicsModel:
             for d in e.parameters(self.vehicle):
                 if e.name == "command_delay" and d.name == "d":
                     past = max(past, math.ceil(d.upper / self.sample_time + 1e-9))
-        return past, int(self.vehicle.actuator.hold == "linear")
+        # Measured rotor speeds run smoothly between samples, whatever the command does.
+        return past, int(self.vehicle.actuator.hold == "linear" or self.input == "speed")
 
     # ---------------------------------------------------------------- stages
 
