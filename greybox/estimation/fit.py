@@ -6,7 +6,7 @@ fit is a function from values to a value: model, data and choices in, a frozen `
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,7 +40,8 @@ class Estimate:
     """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there).
 
     `prior_influence` is the share of the precision that the priors (of all parameters together) brought: 0 = the data
-    alone, 1 = the data say nothing. Of a per-flight parameter, `value` and `std` are mean and spread over flights.
+    alone, 1 = the data say nothing. Of a per-flight parameter, `value` is the mean over flights and `std` the standard
+    error of that mean (at least what the spread between flights says).
     """
 
     name: str
@@ -321,9 +322,7 @@ def _label(u: Any) -> str:
     return u.name if u.flight is None else f"{u.name} ({u.flight})"
 
 
-def _without_priors(
-    problem: Problem, hessian: FloatArray | None, precision: FloatArray, held: BoolArray
-) -> FloatArray:
+def _without_priors(problem: Problem, hessian: FloatArray | None, precision: FloatArray, held: BoolArray) -> FloatArray:
     """Variance of every unknown with the priors of all model parameters taken away (n,); infinite where data are silent."""
     out = np.full(problem.n, np.inf)
     if hessian is None:
@@ -367,13 +366,27 @@ def _estimates(
             continue
         each = {str(problem.unknowns[i].flight): (float(theta[i]), std(matrix, i)) for i in places}
         numbers = np.array([v for v, _ in each.values()])
-        between = float(numbers.std(ddof=1)) if numbers.size > 1 else float("nan")
+        loose = [i for i in places if not held[i]]
         out[d.name] = Estimate(
-            value=float(numbers.mean()), std=between if numbers.size > 1 else std(matrix, places[0]),
-            std_fisher=float(np.nanmean([std(fisher, i) for i in places])) if not held[places].all() else float("nan"),
-            scope="flight", per_flight=each, **common,
-        )  # fmt: skip
+            value=float(numbers.mean()),
+            std=max(_mean_error(matrix, loose), _between(numbers) / np.sqrt(numbers.size)) if loose else float("nan"),
+            std_fisher=_mean_error(fisher, loose) if loose else float("nan"),
+            scope="flight",
+            per_flight=each,
+            **common,
+        )
     return out
+
+
+def _mean_error(matrix: FloatArray, places: Sequence[int]) -> float:
+    """Standard error of the mean of correlated estimates."""
+    part = matrix[np.ix_(np.asarray(places), np.asarray(places))]
+    return float(np.sqrt(max(part.sum(), 0.0))) / len(places)
+
+
+def _between(numbers: FloatArray) -> float:
+    """Standard deviation between flights; 0 for a single one."""
+    return float(numbers.std(ddof=1)) if numbers.size > 1 else 0.0
 
 
 def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[str, tuple[float, float]]:
@@ -418,7 +431,7 @@ def _identified(
             continue
         for f, (level, _) in e.per_flight.items():
             per_flight.setdefault(f, {})[n] = level
-        between = e.std if len(e.per_flight) > 1 and np.isfinite(e.std) and e.std > 0 else declared[n].scale
+        between = _between(np.array([v for v, _ in e.per_flight.values()])) or declared[n].scale
         spread[n] = (e.value, float(between))
     process, sensor = problem.noise_levels(theta)
     if not problem.predictor.has_noise and innovations:
