@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-COMMANDS = ("check", "fit", "validate")
+COMMANDS = ("check", "fit", "validate", "effects", "cite")
 
 
 def _version() -> str:
