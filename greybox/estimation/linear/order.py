@@ -78,7 +78,7 @@ def choose_order(
     cross_validate: bool = False,
     names: Sequence[str] | None = None,
     input_names: Sequence[str] | None = None,
-    patience: int = 3,
+    patience: int = 4,
 ) -> OrderChoice:
     """Fit orders 1 .. largest (scaled records) and choose by `criterion`.
 

@@ -92,11 +92,11 @@ def sweep(
 ) -> dict[int, Found]:
     """The best model of every order 1 .. largest, each started from its neighbours as well as from subspace models.
 
-    Polished to 0.05 of -2 log likelihood (30 iterations), enough to compare orders: call `refine` on the chosen.
+    Polished to 0.3 of -2 log likelihood (at most 20 iterations), enough to compare orders: call `refine` on the chosen.
     With `patience` the sweep stops once -2 log likelihood + penalty * parameters has not improved for that many orders.
     """
     bank = decompose(records, largest, options)
-    coarse = replace(options.settings, tolerance=max(0.05, options.settings.tolerance), max_iterations=30)
+    coarse = replace(options.settings, tolerance=max(0.3, options.settings.tolerance), max_iterations=20)
     options = replace(options, settings=coarse)
     values = bank[0].singular_values
     found: dict[int, Found] = {}
