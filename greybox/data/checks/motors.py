@@ -23,6 +23,9 @@ SEEN_YAW = 0.02
 AGREE = 0.5
 """Cosine of found and promised torque directions from which they agree."""
 
+LEAD = 0.15
+"""An other order must agree by this much better, on the mean of roll and pitch."""
+
 MOST_ROTORS = 6
 """Orders are searched up to this many rotors."""
 
@@ -48,9 +51,10 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     steady = (directions(found.thirds) * promised).sum(axis=2)
     evidence = {f"agreement_{a}": float(c) for a, c in zip(("roll", "pitch", "yaw"), agreement, strict=True)}
     evidence |= {f"share_{a}": float(c) for a, c in zip(("roll", "pitch", "yaw"), found.share, strict=True)}
-    ordered = bool((agreement[:2] >= AGREE).all())
-    if not ordered:
-        yield _order(view, found, agreement, evidence)
+    order, best = _best_order(found, promised)
+    better = float(best[:2].mean() - agreement[:2].mean()) > LEAD
+    if better or not bool((agreement[:2] >= AGREE).all()):
+        yield _disorder(view, order, best, agreement, evidence)
         return
     if view.vehicle.rotors and np.any(promised[2]):
         if not seen[2]:
@@ -79,30 +83,32 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     yield from _strength(view, found, evidence)
 
 
-def _order(view: View, found: Torque, agreement: FloatArray, evidence: dict[str, float]) -> Finding:
-    n = found.gains.shape[1]
+def _best_order(found: Torque, promised: FloatArray) -> tuple[tuple[int, ...], FloatArray]:
+    """(order of rotors under which found and promised directions agree best, agreement (3,) there)."""
+    n = promised.shape[1]
+    seen = directions(found.gains)
+    orders = itertools.permutations(range(n)) if n <= MOST_ROTORS else iter([tuple(range(n))])
+    weights = np.array([1.0, 1.0, 0.1])
+    order = max(orders, key=lambda o: float(weights @ (seen * promised[:, o]).sum(axis=1)))
+    return order, np.asarray((seen * promised[:, order]).sum(axis=1), dtype=np.float64)
+
+
+def _disorder(
+    view: View, order: tuple[int, ...], best: FloatArray, agreement: FloatArray, evidence: dict[str, float]
+) -> Finding:
     fix = "compare rotor positions and u1.. in [columns] with the craft, and the signs of the gyro axes"
     text = "the torques of the commands do not fit the rotor positions"
-    if n <= MOST_ROTORS:
-        seen = directions(found.gains)
-        promised = expected_signs(view)
-        order = max(
-            itertools.permutations(range(n)),
-            key=lambda o: float((seen * promised[:, o])[:2].sum() + 0.1 * (seen * promised[:, o])[2].sum()),
-        )
-        best = (seen * promised[:, order]).sum(axis=1)
-        evidence = {**evidence, "agreement_other_order": float(best[:2].mean())}
-        if float(best[:2].min()) >= AGREE and order != tuple(range(n)):
-            moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
-            text = f"the motor order is wrong: {', '.join(moved)}"
-            fix = "reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)"
+    moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
+    if moved and float(best[:2].min()) >= AGREE:
+        text = f"the motor order is wrong: {', '.join(moved)}"
+        fix = "reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)"
     return Finding(
         check="motors",
         severity="blocking",
         flight=view.name,
         where="u1.. against p, q, r",
         message=f"{text} (roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} where +1 is right)",
-        evidence=evidence,
+        evidence={**evidence, "agreement_other_order": float(best[:2].mean())},
         fix=fix,
     )
 
