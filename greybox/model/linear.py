@@ -172,6 +172,18 @@ class LinearModel:
         stationary = sla.solve_discrete_lyapunov(a, b @ b.T + k @ self.noise @ k.T)
         return np.zeros(self.order), np.sqrt(np.maximum(np.diag(stationary), 1e-12))
 
+    def reference(self, means: Mapping[str, float]) -> FloatArray:
+        """Zero: the matrices are the same at every state."""
+        return np.zeros(self.order)
+
+    def noise_scale(self, dt: float) -> FloatArray:
+        """Standard deviations of the innovations, which are the process noise of this form."""
+        return np.sqrt(np.maximum(np.diag(self.noise), 1e-300))
+
+    def sensor_scale(self) -> FloatArray:
+        """A thousandth of the innovations: in innovation form e carries the sensor noise, and nothing is added to it."""
+        return 1e-3 * self.noise_scale(self.dt)
+
     def to_control(self, *, include_delays: bool = False) -> Any:
         """`control.StateSpace` from u to y (deviations from the operating point), with names and dt.
 
