@@ -240,7 +240,7 @@ def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
     rows = []
     for i, row in enumerate(top.array("inertia", 3)):
         if not isinstance(row, list) or len(row) != 3:
-            raise top.error(f"inertia[{i}]", "not a row of 3", expected="a 3 x 3 matrix [kg m^2]", got=describe(row))
+            raise top.error(f"inertia[{i}]", "not a row of 3", got=describe(row), fix="write a 3 x 3 matrix [kg m^2]")
         x, y, z = (top.checked_number(f"inertia[{i}][{j}]", v) for j, v in enumerate(row))
         rows.append((x, y, z))
     matrix = np.array(rows)

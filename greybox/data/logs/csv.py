@@ -86,7 +86,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(line: str, where: str, row: int) -> list[str]:
-    cells = [c.strip() for c in next(csv.reader([line]))]
+    cells = [c.strip() for c in next(csv.reader([line], skipinitialspace=True))]
     for delimiter, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
         if line.count(delimiter) >= max(len(cells), 1):
             raise DataError(
@@ -125,7 +125,7 @@ def _numeric(body: list[str], header: list[str]) -> dict[str, npt.NDArray[Any]] 
 def _cells(body: list[str], width: int, rows: npt.NDArray[np.int64], where: str) -> Iterator[list[str]]:
     for line, row in zip(body, rows, strict=True):
         try:
-            cells = next(csv.reader([line], strict=True))
+            cells = next(csv.reader([line], skipinitialspace=True, strict=True))
         except csv.Error as error:
             raise DataError(f"not a CSV row ({error})", where=f"{where}, row {row}", fix="close the quotes") from None
         if len(cells) != width:

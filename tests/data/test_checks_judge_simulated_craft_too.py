@@ -1,0 +1,59 @@
+"""The data-fault gate is no tuning to two craft: simulated ones of other size and layout pass, their faults are found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from faults import conjugated, exchanged, late
+
+from greybox.data import read_table
+from greybox.data.checks import check
+from greybox.model.vehicle import read_vehicle
+from scenarios.excitation import FigureEight, rich_excitation
+from scenarios.plants.effects import MotorLag
+from scenarios.plants.flight_log import fly, write_log
+from scenarios.plants.presets import controller_for, duckiedrone, nano, x250
+from scenarios.plants.vehicle_file import write_vehicle
+
+CRAFT = {"nano": nano, "x250": x250, "duckiedrone": duckiedrone}
+
+
+@pytest.fixture(scope="module", params=sorted(CRAFT))
+def flown(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    plant = CRAFT[request.param]([MotorLag(tau=0.03)])
+    log = fly(plant, controller_for(plant), FigureEight(), rich_excitation(), 12.0, seed=3)
+    vehicle = read_vehicle(write_vehicle(folder / "vehicle.toml", plant) or folder / "vehicle.toml")
+    return read_table(write_log(folder / "log.csv", log), vehicle), vehicle
+
+
+def test_as_flown_nothing_blocks_and_the_lag_is_seen(flown):
+    raw, vehicle = flown
+    report = check([raw], vehicle)
+    assert report.blocking == ()
+    answers = [f.evidence for f in report.of("alignment") if "p_s" in f.evidence]
+    assert 0.01 <= answers[0]["p_s"] <= 0.05
+
+
+@pytest.mark.parametrize(("a", "b"), [(1, 2), (1, 3), (2, 4), (3, 4)])
+def test_exchanged_motors(flown, a, b):
+    raw, vehicle = flown
+    messages = [f.message for f in check([exchanged(raw, f"u{a}", f"u{b}")], vehicle).of("motors")]
+    assert len(messages) == 1
+    assert f"u{a} drives rotor {b}, u{b} drives rotor {a} " in messages[0]
+
+
+def test_spins_and_quaternion(flown):
+    raw, vehicle = flown
+    turned = replace(vehicle, rotors=tuple(replace(r, spin=-r.spin) for r in vehicle.rotors))
+    assert any("spins" in f.message for f in check([raw], turned).blocking)
+    assert any("world into body" in f.message for f in check([conjugated(raw)], vehicle).blocking)
+
+
+@pytest.mark.parametrize("rows", [-9, 4, 10])
+def test_shifts_are_recovered_within_half_a_sample(flown, rows):
+    raw, vehicle = flown
+    found = check([late(raw, rows, "p q r")], vehicle).of("alignment")
+    offsets = [f.evidence["offset_samples"] for f in found if "offset_samples" in f.evidence]
+    assert offsets[0] == pytest.approx(rows, abs=0.5)

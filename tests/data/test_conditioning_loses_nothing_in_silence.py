@@ -1,0 +1,197 @@
+"""Conditioning keeps every measured value, leaves missing ones missing, and says what it did."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greybox.data import RawLog, read_log
+from greybox.data.conditioning import condition
+from greybox.errors import DataError
+from greybox.model.vehicle import read_vehicle
+from scenarios.flights import flight_path, flight_paths, vehicle_path
+
+# First and last time [s] above 0.3 m, as the authors' positions give them.
+ABOVE = {
+    "B2_circle_fast_rep1": (3.71, 23.25),
+    "B2_circle_medium_rep1": (3.68, 23.24),
+    "B2_circle_slow_rep1": (3.64, 23.01),
+    "B3_figure8_fast_rep1": (3.69, 22.70),
+    "B3_figure8_medium_rep2": (3.62, 37.97),
+    "B3_figure8_slow_rep1": (3.64, 22.68),
+    "B5_helix_fast_mell_rep1": (3.29, 37.61),
+    "B5_helix_medium_rep2": (4.33, 38.09),
+    "B7_oval_fast_rep1": (3.67, 38.02),
+    "B7_oval_medium_rep2": (3.76, 38.04),
+    "B8_star_fast_rep2": (2.97, 37.35),
+    "B8_star_fast_rep3": (3.04, 37.38),
+    "B8_star_medium_rep1": (3.70, 38.00),
+    "B8_star_slow_rep2": (2.93, 37.41),
+}
+
+
+def raw_log(t, **channels):
+    t = np.asarray(t, dtype=float)
+    return RawLog(
+        t=t,
+        channels={k: np.asarray(v, dtype=float) for k, v in channels.items()},
+        extra={},
+        rows=np.arange(2, t.size + 2),
+        flight="made",
+        source="made.csv",
+        sha256="",
+    )
+
+
+@pytest.mark.parametrize("path", flight_paths("nanobench"), ids=lambda p: p.name.split(".")[0])
+def test_the_cut_keeps_the_airborne_stretch(path):
+    flight = read_log(path, read_vehicle(vehicle_path("nanobench")))
+    first, last = ABOVE[flight.name]
+    assert len(flight.segments) == 1
+    assert flight.segments[0].t[0] == pytest.approx(first, abs=0.08)
+    assert flight.segments[0].t[-1] == pytest.approx(last, abs=0.03)
+    assert flight.dt == 0.01
+    assert any("on the ground" in n for n in flight.notes)
+
+
+def test_untrimmed_uniform_logs_keep_every_value():
+    vehicle = read_vehicle(vehicle_path("nanobench"))
+    path = flight_path("nanobench", "B7_oval_fast_rep1")
+    flight = read_log(path, vehicle, trim=False)
+    (segment,) = flight.segments
+    from greybox.data import read_table
+
+    raw = read_table(path, vehicle)
+    seen = np.isfinite(segment.column("p"))
+    assert np.array_equal(segment.column("p")[seen], raw.channels["p"])
+    assert segment.n - seen.sum() == 11  # dropped ticks of the motion capture clock
+    assert np.isfinite(segment.column("u1")).all()
+    assert any("commands held over 11 sample(s)" in n for n in flight.notes)
+    assert np.abs(segment.t[seen] - raw.t).max() < 5e-4
+
+
+@given(
+    n=st.integers(60, 300),
+    rate=st.sampled_from([50.0, 100.0, 250.0, 400.0, 1000.0]),
+    dropped=st.sets(st.integers(1, 58), max_size=12),
+    start=st.floats(0.0, 1e5),
+)
+def test_dropped_samples_stay_missing(n, rate, dropped, start):
+    keep = np.array([k not in dropped for k in range(n)])
+    steps = np.flatnonzero(keep)
+    if np.diff(steps).max() / rate > 0.09:
+        return
+    values = np.sin(np.arange(n))
+    t = start + np.arange(n) / rate
+    flight = condition(raw_log(t[keep], u1=values[keep] + 2.0, p=values[keep]), trim=False)
+    (segment,) = flight.segments
+    assert segment.n == n
+    assert segment.dt == pytest.approx(1 / rate, rel=1e-9)
+    assert np.array_equal(np.isnan(segment.column("p")), ~keep)
+    assert np.array_equal(segment.column("p")[keep], values[keep])
+    last = np.maximum.accumulate(np.where(keep, np.arange(n), 0))
+    assert np.array_equal(segment.column("u1"), values[last] + 2.0)
+
+
+def test_gaps_end_segments_and_max_gap_decides():
+    t = np.concatenate([np.arange(100), np.arange(130, 260)]) * 0.01
+    raw = raw_log(t, u1=np.full(t.size, 0.5), p=np.sin(t))
+    assert [s.n for s in condition(raw, trim=False).segments] == [100, 130]
+    (whole,) = condition(raw, trim=False, max_gap=0.5).segments
+    assert whole.n == 260
+    assert int(np.isnan(whole.column("p")).sum()) == 30
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000))
+def test_resampling_an_irregular_clock_reproduces_slow_signals(seed):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 3000))
+    u = np.repeat(rng.uniform(0.2, 0.8, 30), 100)
+    flight = condition(raw_log(t, u1=u, p=np.sin(20 * t)), trim=False)
+    (segment,) = flight.segments
+    assert segment.dt == 1e-3
+    assert np.abs(segment.column("p") - np.sin(20 * segment.t)).max() < 1e-3
+    assert np.array_equal(segment.column("u1"), u[np.searchsorted(t, segment.t, side="right") - 1])
+    assert any("not uniform" in n and "resampled to 1000 Hz" in n for n in flight.notes)
+
+
+def test_downsampling_averages_and_keeps_the_integral_of_the_command():
+    t = np.arange(4000) * 1e-3
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(0.2, 0.8, 400), 10)
+    (segment,) = condition(raw_log(t, u1=u, p=np.sin(3 * t)), rate=50.0, trim=False).segments
+    assert segment.dt == 0.02
+    inner = slice(1, -2)
+    assert segment.column("u1")[inner] == pytest.approx(u.reshape(-1, 20).mean(axis=1)[: segment.n][inner], abs=1e-9)
+    assert segment.column("p")[inner] == pytest.approx(np.sin(3 * segment.t)[inner], abs=3e-4)
+
+
+def test_nothing_is_interpolated_across_a_hole_in_the_cells():
+    t = np.cumsum(np.random.default_rng(0).uniform(0.8e-3, 1.2e-3, 2000))
+    p = np.sin(t)
+    p[500:600] = np.nan
+    (segment,) = condition(raw_log(t, u1=np.full(2000, 0.5), p=p), trim=False).segments
+    hole = (segment.t > t[499]) & (segment.t < t[600])
+    assert np.isnan(segment.column("p")[hole]).all()
+    assert np.isfinite(segment.column("p")[~hole]).all()
+
+
+def test_quaternion_signs_do_not_spoil_resampling():
+    t = np.cumsum(np.random.default_rng(0).uniform(8e-3, 12e-3, 500))
+    sign = np.where(np.arange(500) % 2, 1.0, -1.0)
+    q = {"qw": np.cos(t / 2) * sign, "qx": np.sin(t / 2) * sign, "qy": 0 * t, "qz": 0 * t}
+    (segment,) = condition(raw_log(t, u1=np.full(500, 0.5), **q), trim=False).segments
+    size = segment.matrix(["qw", "qx", "qy", "qz"])
+    assert np.linalg.norm(size, axis=1) == pytest.approx(1.0)
+    assert np.abs(segment.column("qw")) == pytest.approx(np.abs(np.cos(segment.t / 2)), abs=1e-4)
+
+
+def test_lost_attitude_becomes_missing_and_is_reported():
+    t = np.arange(200) * 0.01
+    zero = np.zeros(200)
+    qw = np.where((t > 0.5) & (t < 0.7), 0.0, 1.0)
+    flight = condition(raw_log(t, u1=zero + 0.5, qw=qw, qx=zero, qy=zero, qz=zero), trim=False)
+    assert np.isnan(flight.segments[0].column("qw")).sum() == (qw == 0).sum()
+    assert any("unit length" in n for n in flight.notes)
+
+
+def test_a_log_that_begins_and_ends_in_flight_is_left_whole():
+    t = np.arange(1000) * 0.01
+    u = 0.6 + 0.05 * np.sin(7 * t)
+    flight = condition(raw_log(t, u1=u, u2=u, z=0.01 * np.sin(t), p=np.sin(t)))
+    assert flight.n == 1000
+    assert any("nothing cut" in n for n in flight.notes)
+
+
+def test_a_landing_inside_an_imu_log_breaks_it():
+    flight = read_log(flight_path("arpl_crazyflie", "log16"), read_vehicle(vehicle_path("arpl_crazyflie")))
+    assert len(flight.segments) == 2
+    assert flight.segments[1].t[0] - flight.segments[0].t[-1] > 5.0
+
+
+def test_time_that_goes_back_names_the_row():
+    t = np.arange(100) * 0.01
+    t[40] = t[39]
+    with pytest.raises(DataError, match=r"row 42: the same time stamp twice"):
+        condition(raw_log(t, p=t))
+    t[40] = t[10]
+    with pytest.raises(DataError, match=r"row 42: time goes back"):
+        condition(raw_log(t, p=t))
+
+
+@pytest.mark.parametrize("rate", [0.0, -5.0, float("nan"), float("inf")])
+def test_bad_rates(rate):
+    with pytest.raises(DataError, match="rate"):
+        condition(raw_log([0.0, 0.1, 0.2], p=[0, 0, 0]), rate=rate)
+
+
+def test_inputs_are_not_changed():
+    t = np.arange(100) * 0.01
+    raw = raw_log(t, u1=np.full(100, 0.5), p=np.sin(t))
+    before = raw.channels["p"].copy()
+    condition(raw)
+    condition(raw, rate=30.0)
+    assert np.array_equal(raw.channels["p"], before)
