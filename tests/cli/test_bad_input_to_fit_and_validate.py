@@ -148,6 +148,8 @@ def test_fit_refuses_in_one_line(
 def test_a_bad_model_file_is_refused_in_one_line(
     command: str, content: str, word: str, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if command == "cite" and word in ("kind", "checksum"):
+        pytest.skip("cite reads names only, so that it also works on models of a later version")
     model = tmp_path / "model.json"
     model.write_text(content)
     tail = ["--log", str(files / "a.csv")] if command == "validate" else []
