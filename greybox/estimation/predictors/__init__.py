@@ -7,6 +7,16 @@ from typing import Any
 
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.k_step import KStep
+from greybox.estimation.predictors.kalman import Kalman
+from greybox.estimation.predictors.multi_step import MultiStep
+from greybox.estimation.predictors.multiple_shooting import MultipleShooting
 from greybox.estimation.predictors.simulation import Simulation
 
-PREDICTORS: Mapping[str, Any] = {"innovation": Innovation, "simulation": Simulation, "k-step": KStep}
+PREDICTORS: Mapping[str, Any] = {
+    "innovation": Innovation,
+    "kalman": Kalman,
+    "k-step": KStep,
+    "multi-step": MultiStep,
+    "multiple-shooting": MultipleShooting,
+    "simulation": Simulation,
+}

@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.gain import Riccati, linearisation_at, stationary
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
@@ -36,9 +36,11 @@ class Innovation:
         past, future = d.window
         u = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
         weak = np.max([r.x0_sigma for r in problem.records], axis=0) * 100.0
+        x = d.reference(problem.means)
+        elsewhere = d.reference({k: v + 1.0 for k, v in problem.means.items()})
         return {
-            "linearisation": Linearisation(d, problem.engine.active),
-            "reference": (d.reference(problem.means), np.repeat(u[:, None], past + 1 + future, axis=1)),
+            "linearisation": linearisation_at(d, problem.engine.active, x, elsewhere),
+            "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
             "weak": weak**2,
         }
 

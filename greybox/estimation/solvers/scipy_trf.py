@@ -157,16 +157,15 @@ def _whitened(value: Value, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
     assert value.gradient is not None and value.hessian is not None
     h = value.hessian * np.outer(scale, scale)
     diagonal = np.maximum(np.diag(h), 1e-300)
-    root: FloatArray
     for damping in (0.0, 1e-12, 1e-9, 1e-6):
         try:
-            root = np.linalg.cholesky(h + damping * np.diag(diagonal))
+            root = np.asarray(np.linalg.cholesky(h + damping * np.diag(diagonal)), dtype=np.float64)
             break
         except np.linalg.LinAlgError:
             continue
     else:
         w, v = np.linalg.eigh(h)
-        root = np.linalg.cholesky((v * np.maximum(w, 1e-6 * w[-1])) @ v.T)
+        root = np.asarray(np.linalg.cholesky((v * np.maximum(w, 1e-6 * w[-1])) @ v.T), dtype=np.float64)
     part: FloatArray = scipy.linalg.solve_triangular(root, value.gradient * scale, lower=True)
     return root, part
 

@@ -1,0 +1,84 @@
+"""Multi-step prediction: from filter states along the flight the model runs on alone, judged at several horizons.
+
+    e_(k,h) = y_(k+h) - h(F^h(x_hat(k | k-1))),   k every `stride` samples, h in `horizons`
+
+A model for control is used open loop over a horizon; where the noise is not what the filter assumes (streams that drift
+against each other, coloured torque) the one-step likelihood trades long-run accuracy for it. The gain follows from noise
+levels that are held. Errors are weighed per horizon and channel (their variances are concentrated out), so that no
+horizon dominates, and every sample counts once. (Shook, Mohtadi and Shah 1992, A control-relevant identification
+strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011, Simulation error minimization, Int. J. Control 84(2).)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greybox.errors import FitError, ModelError
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictors.simulation import start_of
+from greybox.estimation.problem import Block, Problem
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultiStep:
+    """Errors at `horizons` (samples, 1 = one step) from every `stride`-th sample. Errors overlap: use sandwich errors."""
+
+    horizons: tuple[int, ...] = (1, 2, 5, 10, 20, 30, 50)
+    stride: int = 15
+    name: str = "multi-step"
+    has_noise: bool = False
+    filter: Innovation = field(default_factory=Innovation)
+
+    def __post_init__(self) -> None:
+        if not self.horizons or min(self.horizons) < 1 or self.stride < 1:
+            raise ModelError("horizons and stride must be one sample or more", got=f"{self.horizons}, {self.stride}")
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """As the innovation form."""
+        return self.filter.prepare(problem)
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """Errors of every record, windows in order of time and horizons inside each window."""
+        engine = problem.engine
+        riccati = self.filter.riccati(problem, theta, jacobian)
+        nd = engine.nd if problem.state["estimate_initial"] else 0
+        chosen = np.array(sorted(set(self.horizons))) - 1
+
+        def work(i: int) -> Block:
+            record = problem.records[i]
+            length = min(int(chosen[-1]) + 1, record.n)
+            at = chosen[chosen < length]
+            x0, s0, columns = start_of(problem, theta, i)
+            gains, _, _ = self.filter.tables(riccati, record.patterns, nd)
+            p = problem.parameters_of(theta, record.flight)
+            passed = engine.run(
+                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                gains=gains, p=p, dt=record.dt, s0=s0 if jacobian else None,
+                want=frozenset({"states", "state_sensitivity"}),
+            )  # fmt: skip
+            if passed.failed_at is not None or passed.states is None:
+                raise FitError(f"the prediction of flight {record.flight} is not finite")
+            rows = np.arange(0, record.n - length + 1, self.stride)
+            whole = np.full(rows.size, length)
+            slope = None if passed.state_sensitivity is None else passed.state_sensitivity[rows]
+            ahead = engine.windows(
+                starts=passed.states[rows], rows=rows, lengths=whole, tails=whole, inputs=record.inputs,
+                outputs=record.outputs, mask=record.mask, p=p, dt=record.dt, s0=slope,
+            )  # fmt: skip
+            if ahead.failed_in is not None:
+                raise FitError(f"the prediction of flight {record.flight} is not finite from sample {ahead.failed_in}")
+            e = ahead.innovations.reshape(rows.size, length, engine.ne)[:, at].reshape(-1, engine.ne)
+            de = ahead.sensitivity
+            if de is not None:
+                de = de.reshape(rows.size, length, engine.ne, -1)[:, at].reshape(e.shape[0], engine.ne, -1)
+            return Block(
+                record=record, e=e, mask=record.mask[(rows[:, None] + at).ravel()], jacobian=de, columns=columns,
+                covariance=None, covariance_slope=None, pattern=record.pattern,
+                group=np.tile(np.arange(at.size, dtype=np.int32), rows.size), weight=self.stride / at.size,
+            )  # fmt: skip
+
+        return problem.map_records(work)
