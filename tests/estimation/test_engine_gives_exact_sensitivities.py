@@ -38,8 +38,10 @@ def everything() -> PhysicsModel:
 
 @cache
 def middling() -> Disturbed:
-    plain = everything().without_effect(*(e.name for e in CATALOGUE))
-    return Disturbed(inner=plain.with_effect("motor_lag", "command_delay", "rotor_drag"), groups=("torque",))
+    with tempfile.TemporaryDirectory() as folder:
+        vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
+    inner = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5], sample_time=DT)
+    return Disturbed(inner=inner.with_effect("motor_lag", "command_delay", "rotor_drag"), groups=("torque",))
 
 
 def values(model) -> np.ndarray:
