@@ -13,7 +13,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from greybox.errors import GreyboxError
@@ -65,8 +65,14 @@ def cache_dir() -> Path:
     return Path(tempfile.mkdtemp(prefix="greybox-build-"))
 
 
-def build(sources: Sequence[tuple[str, str, Sequence[str]]]) -> Path:
-    """Shared library of C sources [(name, text, flags)]. Raises `BuildError` with the compiler's first complaint."""
+def build(
+    sources: Sequence[tuple[str, str, Sequence[str]]], rewrite: Mapping[str, Callable[[str], str]] | None = None
+) -> Path:
+    """Shared library of C sources [(name, text, flags)]. Raises `BuildError` with the compiler's first complaint.
+
+    `rewrite` turns the text of a named source into what is compiled. The key of the cache is the text before it, so
+    that nothing is rewritten when the library is there.
+    """
     cc = compiler()
     if cc is None:
         raise BuildError("no C compiler", fix="install gcc or clang; without one greybox runs in CasADi's VM")
@@ -80,7 +86,7 @@ def build(sources: Sequence[tuple[str, str, Sequence[str]]]) -> Path:
         objects, running = [], []
         for name, text, flags in sources:
             path = Path(folder) / name
-            path.write_text(text)
+            path.write_text((rewrite or {}).get(name, str)(text))
             objects.append(str(path.with_suffix(".o")))
             running.append(
                 subprocess.Popen([cc, *flags, "-c", str(path), "-o", objects[-1]], stderr=subprocess.PIPE, text=True)

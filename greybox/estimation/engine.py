@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from greybox.estimation import lanes
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build, compiler
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import Expr, FloatArray
@@ -125,9 +126,9 @@ class Engine:
         b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
         ex = ca.sparsify(ca.jacobian(e, x) @ into)
         ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
-        self.lin = ca.Function(
-            "gb_lin", [x, window, y, p, dt], [ca.densify(after), ca.densify(e), a, b, ex, ep, ca.densify(y_hat)]
-        )
+        inputs = [x, window, y, p, dt]
+        self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in ca.cse([after, e, y_hat])])
+        self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
         self.pred = ca.Function("gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)])
         z, k = ca.SX.sym("xF", self.nx), ca.SX.sym("k", self.nd)
         moved = d.boxplus(z, k)
@@ -135,13 +136,28 @@ class Engine:
         j1 = ca.sparsify(moved_out @ ca.jacobian(moved, z) @ z_into)
         j2 = ca.sparsify(moved_out @ ca.jacobian(moved, k))
         self.inject = ca.Function("gb_inject", [z, k], [ca.densify(moved), j1, j2])
+        self.move = ca.Function("gb_move", [z, k], [ca.densify(moved)])
+        self.turn = ca.Function("gb_turn", [z, k], [j1, j2])
 
     def _compile(self) -> None:
-        generator = ca.CodeGenerator("gb_model.c", {"with_header": False})
-        for f in (self.lin, self.pred, self.inject):
-            generator.add(f)
+        text = {}
+        for name, functions in {
+            "gb_model": (self.value, self.pred, self.move),
+            "gb_slopes": (self.slope, self.turn),
+        }.items():
+            generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
+            for f in functions:
+                generator.add(f)
+            text[name] = generator.dump()
         driver = resources.files("greybox.estimation").joinpath("driver.c").read_text()
-        path = build([("gb_model.c", generator.dump(), MODEL_FLAGS), ("gb_driver.c", driver, DRIVER_FLAGS)])
+        path = build(
+            [
+                ("gb_model.c", text["gb_model"], MODEL_FLAGS),
+                ("gb_slopes.c", lanes.PRELUDE + text["gb_slopes"], lanes.FLAGS),
+                ("gb_driver.c", driver, (*DRIVER_FLAGS, f"-DLANES={lanes.LANES}")),
+            ],
+            rewrite={"gb_slopes.c": lanes.rewrite},
+        )
         library = ctypes.CDLL(str(path))
         library.gb_buffer.restype = ctypes.c_longlong
         sizes = [ctypes.c_longlong() for _ in range(4)]
@@ -225,7 +241,8 @@ class Engine:
         width = self.past + 1 + self.future
         na = len(self.active)
         for t in range(n):
-            xf, e, a, b, ex, ep, yh = self.lin(x, u[t : t + width].T, y[t], p, dt)
+            at = (x, u[t : t + width].T, y[t], p, dt)
+            xf, e, yh = self.value(*at)
             e = np.asarray(e.full()).ravel() * (mask[t] != 0)
             for key, value in (("states", x), ("innovations", e), ("outputs", np.asarray(yh.full()).ravel())):
                 if out[key] is not None:
@@ -233,6 +250,7 @@ class Engine:
             if s is not None:
                 if out["state_sensitivity"] is not None:
                     out["state_sensitivity"][t] = s
+                a, b, ex, ep = self.slope(*at)
                 de = ex.full() @ s
                 de[:, :na] += ep.full()
                 de *= (mask[t] != 0)[:, None]
