@@ -14,6 +14,7 @@ finite without touching the gain of what is seen.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,9 +28,13 @@ from greybox.symbolic import FloatArray
 
 
 class Linearisation:
-    """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active parameters."""
+    """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active parameters.
 
-    def __init__(self, dynamics: Dynamics, active: tuple[str, ...]) -> None:
+    `fixed` (n_x entries or none): the values of state entries that never change, None where one does. Zeros and ones
+    among them make the expressions, their construction and their evaluation smaller.
+    """
+
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...] = ()) -> None:
         s = symbols(dynamics)
         x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
         names = [q.name for q in dynamics.parameters]
@@ -43,7 +48,8 @@ class Linearisation:
         # At the reference the measured value equals the prediction.
         at = {"A": out @ ca.jacobian(after, x) @ into, "G": out @ ca.jacobian(after, w)}
         at |= {"C": -(ca.jacobian(e, x) @ into), "D": -ca.jacobian(e, w)}
-        parts = [ca.substitute(ca.substitute(v, y, y_hat), w, quiet) for v in at.values()]
+        point = ca.vertcat(*(x[i] if v is None else v for i, v in enumerate(fixed))) if fixed else x
+        parts = ca.substitute(ca.substitute(list(at.values()), [y], [y_hat]), [x, w], [point, quiet])
         self._shapes = [v.shape for v in parts]
         stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in parts))
         slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
@@ -69,6 +75,23 @@ class Linearisation:
             stack = np.ascontiguousarray(block.T.reshape(-1, cols, rows).transpose(0, 2, 1))
             out.append(stack if many else stack[0])
         return tuple(out)
+
+
+@functools.lru_cache(maxsize=32)
+def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> Linearisation:
+    return Linearisation(dynamics, active, fixed)
+
+
+def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray) -> Linearisation:
+    """The linearisation of a model for the state `x`, built once per process.
+
+    `other` is the same kind of state from other data: where both agree the entry counts as fixed.
+    """
+    fixed = tuple(float(a) if a == b else None for a, b in zip(x, other, strict=True))
+    try:
+        return _cached(dynamics, tuple(active), fixed)  # type: ignore[arg-type]
+    except TypeError:  # a model that cannot be hashed
+        return Linearisation(dynamics, tuple(active), fixed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,13 +204,13 @@ def stationary(
     da, dg, dc, dd = (_extend(v, dq.shape[0]) for v in slopes)
     m = (da - ke @ dc) @ (p @ closed.T) + (dg - ke @ dd) @ ((through * q).T)
     m = m + m.transpose(0, 2, 1)
-    m = m + np.einsum("ik,sk,jk->sij", through, dq, through) + np.einsum("ik,sk,jk->sij", ke, dr, ke)
+    m = m + (through * dq[:, None, :]) @ through.T + (ke * dr[:, None, :]) @ ke.T
     dp = _smith(closed, m)
     pc = p @ c.T
     dn = da @ pc + a @ dp @ c.T + (a @ p) @ dc.transpose(0, 2, 1)
-    dn = dn + (dg * q) @ d.T + np.einsum("ik,sk,jk->sij", g, dq, d) + (g * q) @ dd.transpose(0, 2, 1)
+    dn = dn + (dg * q) @ d.T + (g * dq[:, None, :]) @ d.T + (g * q) @ dd.transpose(0, 2, 1)
     half = dc @ pc + (dd * q) @ d.T
-    ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + np.einsum("ik,sk,jk->sij", d, dq, d)
+    ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + (d * dq[:, None, :]) @ d.T
     ds[:, np.arange(r.size), np.arange(r.size)] += dr
     return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds)
 
