@@ -38,6 +38,8 @@ class Gaussian:
         """Sum over all records."""
         blocks = list(blocks)
         if any(b.covariance is None and b.variance is None for b in blocks):
+            if any(b.group is not None for b in blocks):
+                return self._grouped(problem, blocks, order, scores)
             blocks = [weighted(b, variance) for variance in [self.variances(blocks)] for b in blocks]
         n = problem.n
         cost = 0.0
@@ -60,6 +62,37 @@ class Gaussian:
             scores=np.concatenate(rows) if rows else None,
         )  # fmt: skip
 
+    def _grouped(self, problem: Problem, blocks: list[Block], order: int, scores: int | None) -> Value:
+        """Rows in groups (horizons), each with its own concentrated variances; groups of one window share its score."""
+        n = problem.n
+        cost = 0.0
+        gradient, hessian = np.zeros(n), np.zeros((n, n))
+        tables: list[FloatArray] = []
+        groups = sorted({int(g) for b in blocks if b.group is not None for g in np.unique(b.group)})
+        parts = [[_rows(b, g) for g in groups] for b in blocks]
+        variances = [self.variances([p[j] for p in parts]) for j in range(len(groups))]
+        for b, members in zip(blocks, parts, strict=True):
+            windows = max(1, round(scores / (b.weight * len(groups)))) if scores else None  # samples to windows
+            table = np.zeros((0, n))
+            for part, variance in zip(members, variances, strict=True):
+                spread = np.where(part.mask != 0, variance, 1.0)
+                c, g_, h_, t_ = self._decorrelated(replace(part, variance=spread), order, windows)
+                cost += b.weight * c
+                if order:
+                    gradient[b.columns] += b.weight * g_
+                    hessian[np.ix_(b.columns, b.columns)] += b.weight * h_
+                    wide = np.zeros((max(len(t_), len(table)), n))
+                    wide[: len(table)] = table
+                    wide[: len(t_), b.columns] += b.weight * t_
+                    table = wide
+            tables.append(table)
+        if not order:
+            return Value(cost=cost, likelihood=cost)
+        return Value(
+            cost=cost, likelihood=cost, gradient=gradient, hessian=hessian,
+            scores=np.concatenate(tables) if scores else None,
+        )  # fmt: skip
+
     def _decorrelated(
         self, b: Block, order: int, scores: int | None
     ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
@@ -74,12 +107,15 @@ class Gaussian:
         table = np.zeros((-(-n // size), ns))
         if not order:
             return cost, np.zeros(ns), np.zeros((ns, ns)), table
-        assert b.jacobian is not None and b.variance_slope is not None
+        assert b.jacobian is not None
         jz = b.jacobian / root[:, :, None]
         flat = (jz * np.sqrt(weight)[:, :, None]).reshape(n * ne, ns)
+        per_sample = np.einsum("nis,ni->ns", jz, weight * z)
+        if b.variance_slope is None:
+            np.add.at(table, np.arange(n) // size, per_sample)
+            return cost, per_sample.sum(axis=0), flat.T @ flat, table
         half = (0.5 * b.variance_slope / b.variance[:, :, None]).reshape(n * ne, ns)  # d ln(root)
         there = b.mask != 0
-        per_sample = np.einsum("nis,ni->ns", jz, weight * z)
         per_sample -= np.einsum("nis,ni->ns", half.reshape(n, ne, ns), weight * z * z - there)
         np.add.at(table, np.arange(n) // size, per_sample)
         return cost, per_sample.sum(axis=0), flat.T @ flat + 2.0 * half.T @ half, table
@@ -106,22 +142,39 @@ class Gaussian:
             if not order:
                 continue
             assert b.jacobian is not None
-            jz = np.einsum("ij,njs->nis", inverse, b.jacobian[at]) if at.size != n else inverse @ b.jacobian
-            flat = (jz * np.sqrt(weight)[:, :, None]).reshape(-1, ns)
+            # Channel first, so that everything is a product of two matrices.
+            jz = np.tensordot(inverse, b.jacobian if at.size == n else b.jacobian[at], axes=(1, 1))
+            pull = weight * z
+            plain = bool((weight == 1).all())
+            flat = (jz if plain else jz * np.sqrt(weight).T[:, :, None]).reshape(-1, ns)
             hessian += flat.T @ flat
-            per_sample = np.einsum("nis,ni->ns", jz, weight * z)
+            flat_m = None
             if b.covariance_slope is not None:
                 m = inverse @ b.covariance_slope[g] @ inverse.T  # (n_s, n_e, n_e)
                 flat_m = m.reshape(ns, -1)
                 hessian += 0.5 * at.size * flat_m @ flat_m.T
-                there = b.mask[at[0]] != 0
-                outer = (weight * z)[:, :, None] * z[:, None, :] - np.diag(there.astype(float))
-                # d L = L tril(m) with half the diagonal; for the Gaussian loss both triangles add up to m / 2.
-                lower = (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(ns, -1)
-                per_sample = per_sample - outer.reshape(at.size, -1) @ lower.T
+                # dL = L (lower triangle of m, half its diagonal); for the Gaussian loss both triangles add up to m / 2.
+                half = 0.5 * flat_m if plain else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(ns, -1)
+            there = np.diag((b.mask[at[0]] != 0).astype(float))
+            if scores is None:
+                gradient += jz.reshape(-1, ns).T @ pull.T.ravel()
+                if flat_m is not None:
+                    gradient -= half @ (pull.T @ z - at.size * there).ravel()
+                continue
+            per_sample = np.einsum("ins,ni->ns", jz, pull)
+            if flat_m is not None:
+                outer = pull[:, :, None] * z[:, None, :] - there
+                per_sample = per_sample - outer.reshape(at.size, -1) @ half.T
             gradient += per_sample.sum(axis=0)
             np.add.at(table, at // size, per_sample)
         return cost, gradient, hessian, table
+
+
+def _rows(b: Block, group: int) -> Block:
+    """The rows of one group."""
+    assert b.group is not None
+    at = np.flatnonzero(b.group == group)
+    return replace(b, e=b.e[at], mask=b.mask[at], jacobian=None if b.jacobian is None else b.jacobian[at])
 
 
 def weighted(b: Block, variance: FloatArray) -> Block:
