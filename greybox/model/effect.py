@@ -50,6 +50,7 @@ class Flow:
     wind: Expr = None  # wind velocity, body axes [m/s]
     omega: Expr = None  # body rate [rad/s]
     angular_acceleration: Expr = None  # d omega / dt [rad/s^2]
+    acceleration_world: Expr = None  # d velocity_world / dt [m/s^2]
     rotation: Expr = None  # R, body to world (3 x 3)
     quaternion: Expr = None  # (w, x, y, z), body to world
     position: Expr = None  # of the centre of mass, world [m]

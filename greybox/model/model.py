@@ -396,6 +396,7 @@ class PhysicsModel:
     def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> Expr:
         values = self._values(p)
         readings = {s.name: s.reading(flow, specific_force) for s in self.sensors}
+        flow = replace(flow, acceleration_world=flow.rotation @ specific_force + self._gravity())
         for e in self._stage("sensor"):
             slots = e.apply(replace(flow, measured=readings), self._own(e, values))
             readings = {k: slots.get(k, v) for k, v in readings.items()}

@@ -62,36 +62,45 @@ class GroupReader:
         """Whether the values are read from states too, not from the outputs alone."""
         return self._velocity is not None
 
-    def values(self, outputs: FloatArray, states: FloatArray | None, p: FloatArray) -> dict[str, FloatArray]:
-        """Group -> (..., dimension) from outputs (..., n_y) and states (..., n_x) at parameters p (n_p)."""
+    def values(
+        self, outputs: FloatArray, states: FloatArray | None, p: FloatArray, commands: FloatArray | None = None
+    ) -> dict[str, FloatArray]:
+        """Group -> (..., dimension) from outputs (..., n_y), states (..., n_x) and commands (..., n_u) at p (n_p)."""
         read = {g: outputs[..., at] for g, at in self._columns.items()}
         if self._velocity is not None:
             assert states is not None
-            flat = states.reshape(-1, states.shape[-1])
-            reading, rows = self._velocity
-            read["velocity"] = evaluate(reading(p), flat[:, rows]).reshape(*states.shape[:-1], 3)
+            assert commands is not None
+            reading, rows, moves = self._velocity
+            parts = [states[..., rows], commands[..., moves]]
+            flat = np.concatenate(parts, axis=-1).reshape(-1, len(rows) + len(moves))
+            read["velocity"] = evaluate(reading(p), flat).reshape(*states.shape[:-1], 3)
         return {g: read[g] for g in self.groups}
 
 
-def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], Any], list[int]] | None:
-    """(p -> function of the states `rows` that gives the velocity sensor's reading, rows); None where no state has it."""
+def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], Any], list[int], list[int]] | None:
+    """How the velocity sensor would read: (p -> function of some states and commands, those states, those commands).
+
+    None where no state carries the velocity. The command is taken as held through the delay.
+    """
     physics = model.physics
     if not isinstance(physics, PhysicsModel) or "position" not in {s.name for s in physics.sensors}:
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
     seeing: Dynamics = replace(physics, sensors=(*physics.sensors, sensor))
     x, p = ca.SX.sym("x", len(model.dynamics.states)), ca.SX.sym("p", len(model.dynamics.parameters))
-    u = ca.SX.zeros(len(physics.inputs), sum(physics.window) + 1)
+    u = ca.SX.sym("u", len(physics.inputs))
+    window = ca.repmat(u, 1, sum(physics.window) + 1)
     quiet = ca.DM.zeros(len(physics.noises))
-    y = seeing.output(0, x[: len(physics.states)], u, p[: len(physics.parameters)], quiet, 1.0)
+    own = x[: len(physics.states)], p[: len(physics.parameters)]
+    y = seeing.output(0, own[0], window, own[1], quiet, model.sample_time)
     v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]
-    rows = [i for i in range(x.numel()) if any(ca.which_depends(v, x[i], 1, False))]
+    rows, moves = ([i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u))
 
     def at(values: FloatArray) -> Any:
         fixed = ca.substitute(v, p, ca.DM(values))
-        return ca.Function("velocity", [x[rows]], [fixed])
+        return ca.Function("velocity", [ca.vertcat(x[rows], u[moves])], [fixed])
 
-    return at, rows
+    return at, rows, moves
 
 
 def predict_from(
@@ -114,7 +123,7 @@ def predict_from(
     inputs = np.concatenate([record.inputs, np.repeat(record.inputs[-1:], steps + 1, axis=0)])
     first = np.asarray(origins, dtype=np.int64)
     if measured_start:
-        begin = started_at_measurement(filtered, reader, first, references or {})
+        begin = started_at_measurement(filtered, reader, first, references or {}, past)
         rows, length = first, steps + 1
     else:
         begin, rows, length = filtered.states[first + 1], first + 1, steps
@@ -129,21 +138,23 @@ def predict_from(
         dt=record.dt,
         want_states=reader.needs_states,
     )
+    ahead = first[:, None] + np.arange(1, steps + 1) + past
     if measured_start:
         outputs, states = outputs[:, 1:], None if states is None else states[:, 1:]
-    return reader.values(outputs, states, filtered.p)
+    return reader.values(outputs, states, filtered.p, inputs[ahead] if reader.needs_states else None)
 
 
 def started_at_measurement(
-    filtered: Filtered, reader: GroupReader, origins: IntArray, references: Mapping[str, FloatArray]
+    filtered: Filtered, reader: GroupReader, origins: IntArray, references: Mapping[str, FloatArray], past: int = 0
 ) -> FloatArray:
     """States (m, n_x) at the origins whose outputs equal the measured pose, velocity and rate there.
 
     The predicted state x_hat(k | k-1) is moved by the difference between measured and predicted values (constant sensor
-    offsets and turns stay as they are); a sample that is not measured leaves its part of the state as predicted.
+    offsets and turns stay as they are); a sample that is not measured leaves its part of the state as predicted. `past` is
+    the number of commands before the first sample in the record.
     """
-    states = filtered.states[origins].copy()
-    predicted = reader.values(filtered.outputs[origins], states, filtered.p)
+    states, commands = filtered.states[origins].copy(), filtered.record.inputs[origins + past]
+    predicted = reader.values(filtered.outputs[origins], states, filtered.p, commands)
     for group, block in (
         ("position", "position"),
         ("velocity", "velocity"),

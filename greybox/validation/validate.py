@@ -203,7 +203,8 @@ class _Work:
         bias: ImuBias,
     ) -> dict[str, FloatArray]:
         """From the measured pose at the origin and the filter's velocity there (both known causally)."""
-        own = self.reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p)
+        commands = filtered.record.inputs[origins + self.filter.engine.past]
+        own = self.reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
 
         def start(group: str) -> FloatArray | None:
             if group == "velocity" or group not in references:

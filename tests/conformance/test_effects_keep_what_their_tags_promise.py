@@ -37,6 +37,7 @@ def random_flow(rng) -> Flow:
         "wind": np.zeros(3),
         "omega": 3 * rng.normal(size=3),
         "angular_acceleration": 9 * rng.normal(size=3),
+        "acceleration_world": 3 * rng.normal(size=3),
         "rotation": rotation,
         "quaternion": q,
         "position": rng.normal(size=3) + np.array([0.0, 0.0, 3.0]),

@@ -142,7 +142,7 @@ def test_measured_start_puts_the_measured_values_into_the_state() -> None:
     states = started_at_measurement(filtered, reader, origins, references)
     outputs = np.zeros((len(origins), len(COLUMNS)))
     outputs[:, :10] = np.concatenate([states[:, :3], states[:, 6:13]], axis=1)
-    values = reader.values(outputs, states, filtered.p)
+    values = reader.values(outputs, states, filtered.p, np.zeros((len(origins), 4)))
     for g, reference in references.items():
         assert error_norms(g, values[g], reference[origins]).max() < 1e-9
 

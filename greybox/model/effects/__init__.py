@@ -14,6 +14,7 @@ from greybox.model.effects.gyro_bias import GyroBias
 from greybox.model.effects.imu_misalignment import ImuMisalignment
 from greybox.model.effects.mocap_misalignment import MocapMisalignment
 from greybox.model.effects.motor_lag import MotorLag
+from greybox.model.effects.pose_delay import PoseDelay
 from greybox.model.effects.rotational_damping import RotationalDamping
 from greybox.model.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.model.effects.rotor_drag import RotorDrag
@@ -31,6 +32,7 @@ CATALOGUE: tuple[Effect, ...] = (
     RotationalDamping(),
     ConstantForce(),
     ImuMisalignment(),
+    PoseDelay(),
     MocapMisalignment(),
     AccelerometerBias(),
     GyroBias(),
