@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.max_order < 1:
         raise DataError(f"--max-order {arguments.max_order}", expected="at least 1")
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
-    train = read_records(arguments.train, inputs, outputs, vehicle, rate=arguments.rate)
+    train = read_records(arguments.train, inputs, outputs, vehicle, rate=arguments.rate, bridge=0)
     test = read_records(arguments.test, inputs, outputs, vehicle, rate=arguments.rate) if arguments.test else None
     if test is not None:
         if abs(test.dt - train.dt) > 1e-6 * train.dt:

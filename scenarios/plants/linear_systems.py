@@ -40,7 +40,7 @@ def riccati(a: Array, c: Array, q: Array, r: Array) -> Array:
 def lyapunov(a: Array, q: Array) -> Array:
     """X = A X A' + Q by its linear equations."""
     n = len(a)
-    return np.linalg.solve(np.eye(n * n) - np.kron(a, a), q.ravel()).reshape(n, n)
+    return np.asarray(np.linalg.solve(np.eye(n * n) - np.kron(a, a), q.ravel()).reshape(n, n), dtype=np.float64)
 
 
 def random_system(
@@ -99,7 +99,7 @@ def stabilising_feedback(
 ) -> Array:
     """A random static output feedback (m, p) with closed-loop poles inside 0.97, as strong as that allows."""
     m, p = truth.b.shape[1], truth.c.shape[0]
-    scale = strength / max(np.linalg.norm(truth.c @ truth.b, 2), 1e-12)
+    scale = strength / max(float(np.linalg.norm(truth.c @ truth.b, 2)), 1e-12)
     for _ in range(tries):
         gain = scale * rng.normal(size=(m, p))
         if np.abs(np.linalg.eigvals(truth.a - truth.b @ gain @ truth.c)).max() < 0.97:

@@ -1,8 +1,8 @@
 """Is the truth recovered? Order and interval coverage on random linear systems, open and closed loop, coloured noise.
 
-For orders 1-8, one or two inputs and outputs, 20 dB, N = 3000: the order is chosen by BIC among 1 .. n + 4; a run counts for the
-order where the oracle likelihood ratio of n over n - 1 (both fitted also from the truth) exceeds 40. At the true order
-the 95 % intervals of poles (real and imaginary part) and of the frequency response (ln |G| and phase at five
+For orders 1-8, one or two inputs and outputs, 20 dB, N = 3000: the order is chosen by BIC among 1 .. n + 4; a run
+counts for the order where the oracle likelihood ratio of n over n - 1 (both fitted also from the truth) exceeds 40. At
+the true order the 95 % intervals of poles (real and imaginary part) and of the frequency response (ln |G| and phase at five
 frequencies) and of the steady gain are compared with the truth.
 
     python -m scenarios.studies.linear_recovery --repeats 4 --out recovery.json

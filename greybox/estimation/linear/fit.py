@@ -56,7 +56,7 @@ class LinearFit:
     @property
     def converged(self) -> bool:
         """Did the polish converge?"""
-        return self.status is Status.CONVERGED
+        return self.status in (Status.CONVERGED, Status.FLAT)
 
     @property
     def log_det(self) -> float:
@@ -199,7 +199,7 @@ def _assemble(
 
 def _warnings(s: Solution, rank: int, free: int, scaled: Sequence[Record], model: LinearModel, p: int) -> list[str]:
     out: list[str] = []
-    if s.status in (Status.STALLED, Status.MAX_ITERATIONS):
+    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
         out.append(s.status.value)
     if rank < free:
         out.append(

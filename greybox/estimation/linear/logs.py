@@ -90,11 +90,14 @@ def read_records(
     rate: float | None = None,
     trim: bool | None = None,
     hold: int = 5,
+    bridge: int = 50,
 ) -> Logs:
     """Read logs into records. With a vehicle file its `[columns]` apply and the airborne part is kept (`trim`).
 
-    Inputs that miss for at most `hold` samples are held; longer holes, and holes of over 50 samples in all outputs,
-    end a record. Raises `DataError` and `UnknownNameError` (column not in the log, text, other sample time).
+    Inputs that miss for at most `hold` samples are held; longer holes, and holes of over `bridge` samples in all outputs,
+    end a record (with `bridge` 0 every lost row does, which keeps the fit on its fast path; pieces of fewer than 50
+    samples are then dropped). Raises `DataError` and `UnknownNameError` (column not in the log, text, other sample
+    time).
     """
     records: list[Record] = []
     flights, notes = [], []
@@ -121,7 +124,15 @@ def read_records(
             if held:
                 notes.append(f"{flight.name}: {held} missing input samples held")
             name = flight.name if len(flight.segments) == 1 else f"{flight.name}#{i + 1}"
-            records += split_at_missing(u, y, name=name)
+            pieces = split_at_missing(u, y, name=name, longest=bridge)
+            if len(pieces) > 1:
+                kept = [q for q in pieces if len(q) >= 50]
+                lost = sum(len(q) for q in pieces) - sum(len(q) for q in kept)
+                notes.append(
+                    f"{name}: cut at missing rows into {len(kept)} records; {lost} samples in short pieces dropped"
+                )
+                pieces = kept
+            records += pieces
     if not records or dt is None:
         raise DataError("no usable samples in the logs", fix="check that inputs and outputs were logged at one time")
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))

@@ -30,11 +30,18 @@ from greybox.estimation.linear.records import Record
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.symbolic import FloatArray
 
+FLAT_GAIN = 0.05
+"""Gain of three steps, in -2 log likelihood, below which the iteration ends as `Status.FLAT`."""
+
 
 class Status(Enum):
     """How the iteration ended; the value is advice."""
 
     CONVERGED = "converged: a further Gauss-Newton step would change -2 log likelihood by less than the tolerance"
+    FLAT = (
+        "converged in likelihood: the last three steps together gained less than 0.05 of -2 log likelihood; the estimate "
+        "moves along a direction that the data hardly determine: fewer states may do"
+    )
     STALLED = (
         "not converged: no step improves the likelihood although the gradient is not zero; the model may sit at the "
         "stability limit or have more states than the data carry: lower the order"
@@ -56,7 +63,7 @@ class Settings:
     """`tolerance` is in units of -2 log likelihood. `stable` demands |eig A| < 1; `offsets` frees one per record."""
 
     max_iterations: int = 100
-    tolerance: float = 1e-4
+    tolerance: float = 1e-3
     stable: bool = False
     offsets: bool = True
     free_start: bool = True
@@ -124,7 +131,11 @@ def evaluate(
             cost += len(record) * value
         else:
             cost += prediction.log_det + float((np.einsum("kij,kj->ki", prediction.whitener, prediction.e) ** 2).sum())
-    cost += p * sum(len(r) for r, q in zip(records, predictions) if q.whitener is None)
+    # Over all records together e' Lambda^-1 e sums to p per sample; with holes only some of them are summed here.
+    inverse = np.linalg.inv(noise)
+    for q in predictions:
+        if q.whitener is None:
+            cost += p * len(q.e) if not holes else float(np.einsum("ki,ij,kj->", q.e, inverse, q.e, optimize=True))
     return Evaluation(float(cost), noise, predictions, modes)
 
 
@@ -267,10 +278,11 @@ def minimise(
         )
     # With holes the sensitivities are those of a frozen gain: the last digits of the descent are not to be had.
     holes = any(r.missing for r in records)
-    tries, near = (5, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
+    tries, near = (12, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
     tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
     damping, status, iteration, decrement = 1e-4, Status.MAX_ITERATIONS, 0, np.inf
     normal = normal_equations(point, records, here, settings)
+    gains: list[float] = []
     while iteration < settings.max_iterations:
         iteration += 1
         decrement = _decrement(normal)
@@ -291,9 +303,13 @@ def minimise(
         if not accepted:
             status = Status.CONVERGED if decrement < near else Status.STALLED
             break
+        gains.append(here.criterion - there.criterion)
         point, current, here = trial, moved, there
         damping = max(damping / 10.0, 1e-12)
         normal = normal_equations(point, records, here, settings)
+        if len(gains) >= 3 and sum(gains[-3:]) < FLAT_GAIN and _decrement(normal) >= tolerance:
+            status, decrement = Status.FLAT, _decrement(normal)
+            break
     return Solution(
         point=point,
         nuisances=current,

@@ -36,7 +36,7 @@ class Options:
 
     noise_model: bool = True
     feedthrough: bool = False
-    methods: tuple[Method, ...] = ("ssarx", "cva")
+    methods: tuple[Method, ...] = ("pbsid", "ssarx")
     past: int | None = None
     polish: bool = True
     settings: Settings = field(default_factory=Settings)

@@ -80,7 +80,7 @@ class StructuredFit:
     @property
     def converged(self) -> bool:
         """Did the iteration converge?"""
-        return self.status is Status.CONVERGED
+        return self.status in (Status.CONVERGED, Status.FLAT)
 
 
 def fit_structured(

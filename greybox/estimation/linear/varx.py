@@ -53,18 +53,25 @@ def fit_varx(
         limit = max(1, min(limit, (total // 3 - m - p) // (nz + len(records)), shortest // 3))
     else:
         limit = past
-    blocks = [_rows(r, limit, feedthrough) for r in records if len(r) > limit]
-    data = np.vstack(blocks) if blocks else np.zeros((0, 1))
-    data = data[np.isfinite(data).all(axis=1)]
     head = m if feedthrough else 0
     columns = head + limit * nz
-    if len(data) < columns + p + 1:
+    usable = [r for r in records if len(r) > limit]
+    whole = all(not r.missing for r in usable)
+    data = np.zeros((0, 1))
+    rows = sum(len(r) - limit for r in usable)
+    r = _triangle_from_covariances(usable, limit, feedthrough) if whole and rows > 2 * columns else None
+    if r is None:
+        blocks = [_rows(q, limit, feedthrough) for q in usable]
+        data = np.vstack(blocks) if blocks else np.zeros((0, 1))
+        data = data[np.isfinite(data).all(axis=1)]
+        rows = len(data)
+    if rows < columns + p + 1:
         raise DataError(
-            f"{len(data)} complete rows are too few for {columns} coefficients per output",
+            f"{rows} complete rows are too few for {columns} coefficients per output",
             fix="pass a longer record, or ask for a lower order",
         )
-    r = sla.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][: columns + p]
-    rows = len(data)
+    if r is None:
+        r = sla.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][: columns + p]
     chosen = limit if past is not None else _aic(r, rows, head, nz, limit, p)
     used = head + chosen * nz
     tri, right = r[:used, :used], r[:used, columns:]
@@ -75,6 +82,45 @@ def fit_varx(
     theta = coefficients[head:].T.reshape(p, chosen, nz).transpose(1, 0, 2)
     inverse = _solve_triangular(tri, np.eye(used))[:head] if feedthrough else np.zeros((0, used))
     return Varx(past=chosen, theta=np.ascontiguousarray(theta), d=d, noise=noise, d_covariance=inverse @ inverse.T)
+
+
+def _triangle_from_covariances(records: Sequence[Record], limit: int, feedthrough: bool) -> FloatArray | None:
+    """R of the QR of the regression, from lagged covariances; None where squaring the data would cost digits.
+
+    The Gram matrix of lagged data is block Toeplitz up to the ends of the records: G[i+1, j+1] = G[i, j] plus one
+    product of first samples minus one of last samples. That is far cheaper than forming and factoring the lagged data.
+    """
+    nz = records[0].u.shape[1] + records[0].y.shape[1]
+    m, p = records[0].u.shape[1], records[0].y.shape[1]
+    gram = np.zeros(((limit + 1) * nz, (limit + 1) * nz))
+    for r in records:
+        z = np.hstack([r.u, r.y])
+        count = len(z)
+        own = np.zeros((limit + 1, limit + 1, nz, nz))
+        for j in range(limit + 1):
+            own[0, j] = z[limit:].T @ z[limit - j : count - j]
+        for i in range(limit):
+            # lag i + 1 sees one sample more at the beginning and one less at the end than lag i
+            first, last = z[limit - i - 1], z[count - 1 - i]
+            early, late = z[: limit - i][::-1], z[count - limit : count - i][::-1]
+            own[i + 1, i + 1 :] = (
+                own[i, i:limit] + first[:, None] * early[:, None, :] - last[:, None] * late[:, None, :]
+            )
+        for i in range(limit + 1):
+            for j in range(i):
+                own[i, j] = own[j, i].T
+        gram += own.transpose(0, 2, 1, 3).reshape(gram.shape)
+    now_u, now_y, past = np.arange(m), np.arange(m, m + p), np.arange(nz, (limit + 1) * nz)
+    order = np.concatenate([now_u, past, now_y] if feedthrough else [past, now_y])
+    gram = gram[np.ix_(order, order)]
+    try:
+        triangle = np.linalg.cholesky(gram).T
+    except np.linalg.LinAlgError:
+        return None
+    diagonal = np.diag(triangle)
+    if diagonal.min() < 1e-5 * np.sqrt(np.diag(gram).max()):
+        return None
+    return np.asarray(triangle)
 
 
 def estimate_delays(records: Sequence[Record], *, largest: int = 20, level: float = 3.3) -> tuple[int, ...]:

@@ -87,15 +87,28 @@ def test_records_of_different_length_with_their_own_start_and_offset():
 
 
 def test_missing_samples_leave_the_estimate_where_it_was():
-    rng, _, _, record = data(5, count=2000)
+    rng, _, _, record = data(5, count=800)
     whole = fit_linear([record], 3)
     y = record.y.copy()
     y[rng.random(y.shape) < 0.03] = np.nan
-    y[700:712] = np.nan
+    y[400:412] = np.nan
     holes = fit_linear([Record(u=record.u, y=y)], 3)
     assert any("bridged" in w for w in holes.warnings)
     std = np.sqrt(whole.uncertainty.poles().covariance[:, 0, 0])
     assert (np.abs(whole.model.matrices.poles().real - holes.model.matrices.poles().real) < 2.5 * std + 0.002).all()
+
+
+def test_a_fit_converges_where_only_one_of_two_records_has_a_hole():
+    rng = np.random.default_rng(11)
+    truth = random_system(rng, 2, 1, 1)
+    first, second = recorded(rng, truth, 500), recorded(rng, truth, 500)
+    whole = fit_linear([first, second], 2)
+    y = second.y.copy()
+    y[250:252] = np.nan
+    fit = fit_linear([first, Record(u=second.u, y=y)], 2)
+    assert fit.converged
+    std = np.sqrt(whole.uncertainty.poles().covariance[:, 0, 0])
+    assert (np.abs(fit.model.matrices.poles().real - whole.model.matrices.poles().real) < std).all()
 
 
 def test_predictor_is_stable_and_a_is_where_asked():
