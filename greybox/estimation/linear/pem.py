@@ -282,6 +282,10 @@ def minimise(
     tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
     damping, status, iteration, decrement = 1e-4, Status.MAX_ITERATIONS, 0, np.inf
     normal = normal_equations(point, records, here, settings)
+    if not _finite(normal):
+        raise FitError(
+            "the sensitivities are not finite at the start", fix="start from another method or a lower order"
+        )
     gains: list[float] = []
     while iteration < settings.max_iterations:
         iteration += 1
@@ -297,8 +301,10 @@ def minimise(
                 moved = _moved(current, normal.back, step)
                 there = evaluate(trial.system, moved, records, here.noise)
                 if there.criterion < here.criterion:
-                    accepted = True
-                    break
+                    following = normal_equations(trial, records, there, settings)
+                    if _finite(following):
+                        accepted = True
+                        break
             damping = max(damping, 1e-6) * 8.0
         if not accepted:
             status = Status.CONVERGED if decrement < near else Status.STALLED
@@ -306,7 +312,7 @@ def minimise(
         gains.append(here.criterion - there.criterion)
         point, current, here = trial, moved, there
         damping = max(damping / 10.0, 1e-12)
-        normal = normal_equations(point, records, here, settings)
+        normal = following
         if len(gains) >= 3 and sum(gains[-3:]) < FLAT_GAIN and _decrement(normal) >= tolerance:
             status, decrement = Status.FLAT, _decrement(normal)
             break
@@ -328,6 +334,10 @@ def _allowed(system: Matrices, settings: Settings) -> bool:
     if spectral_radius(system.predictor) >= settings.radius:
         return False
     return not settings.stable or spectral_radius(system.a) < settings.radius
+
+
+def _finite(normal: Normal) -> bool:
+    return bool(np.isfinite(normal.information).all() and np.isfinite(normal.gradient).all())
 
 
 def _decrement(normal: Normal) -> float:
