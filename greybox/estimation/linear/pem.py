@@ -345,7 +345,7 @@ def _decrement(normal: Normal) -> float:
     h, g = normal.information, normal.gradient
     if not len(g):
         return 0.0
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-14 * max(float(np.diag(h).max(initial=0.0)), 1e-300)))
     values, vectors = np.linalg.eigh(h / np.outer(scale, scale))
     keep = values > 1e-10 * values[-1]
     return float((((vectors.T @ (g / scale))[keep]) ** 2 / values[keep]).sum())

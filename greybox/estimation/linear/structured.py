@@ -126,7 +126,7 @@ def fit_structured(
     settings = replace(settings or Settings(), offsets=offsets)
     solution = minimise(point, scaled, settings)
     h = solution.information
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-14 * max(float(np.diag(h).max(initial=0.0)), 1e-300)))
     values, vectors = np.linalg.eigh(h / np.outer(scale, scale))
     count = len(model.names)
     weak = [v / scale for v, s in zip(vectors.T, values) if s < 1e-9 * values[-1]]

@@ -159,7 +159,7 @@ def uncertainty(system: Matrices, information: FloatArray, tangent: FloatArray) 
     are left, and a caller must say so where it is below d.
     """
     n, m, p = system.sizes
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-14 * max(float(np.diag(information).max(initial=0.0)), 1e-300)))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     keep = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
     root = (vectors[:, keep] / np.sqrt(values[keep])) / scale[:, None]
