@@ -1,0 +1,189 @@
+"""Profile likelihood of one unknown: the others re-optimised along a grid, and the likelihood-ratio interval.
+
+    interval = { v : 2 (V(v) - V_min) <= chi2_1(level) },   V(v) = min over the other unknowns of the cost
+
+(Venzon and Moolgavkar 1988, Applied Statistics 37(1); Raue et al. 2009, Bioinformatics 25(15).) Where the cost is not
+quadratic in the unknown this interval is right and the symmetric one is not; a flat profile is an unknown that the data
+do not identify. Priors are part of the cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.interpolate
+import scipy.stats
+
+from greybox.errors import UnknownNameError
+from greybox.estimation.problem import Problem, Unknown, Value
+from greybox.symbolic import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slice:
+    """A problem with one unknown held at a value: what solvers see of a problem, with n - 1 unknowns."""
+
+    problem: Problem
+    place: int
+    value: float
+
+    def _keep(self, v: FloatArray) -> FloatArray:
+        return np.delete(v, self.place)
+
+    def full(self, theta: FloatArray) -> FloatArray:
+        """All unknowns (n,)."""
+        return np.insert(theta, self.place, self.value)
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns left."""
+        return self.problem.n - 1
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Unknowns left."""
+        return self.problem.unknowns[: self.place] + self.problem.unknowns[self.place + 1 :]
+
+    @property
+    def start(self) -> FloatArray:
+        """Start values."""
+        return self._keep(self.problem.start)
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower bounds."""
+        return self._keep(self.problem.lower)
+
+    @property
+    def upper(self) -> FloatArray:
+        """Upper bounds."""
+        return self._keep(self.problem.upper)
+
+    @property
+    def scale(self) -> FloatArray:
+        """Typical sizes."""
+        return self._keep(self.problem.scale)
+
+    def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
+        """Cost on the slice; derivatives in the unknowns that are left."""
+        value = self.problem.evaluate(self.full(theta), order, scores)
+        if value.gradient is None or value.hessian is None:
+            return value
+        hessian = np.delete(np.delete(value.hessian, self.place, 0), self.place, 1)
+        return Value(
+            cost=value.cost, likelihood=value.likelihood, gradient=self._keep(value.gradient), hessian=hessian,
+            valid=value.valid,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Profile:
+    """Profile of one unknown: grid (m,) in its unit (levels, not logarithms, of noise), cost (m,), converged (m,).
+
+    `lower` and `upper` end the likelihood-ratio interval at `level`; an end is the bound where the profile reaches it
+    first, and infinite where the grid ended before the cost had risen enough (not identified on that side).
+    """
+
+    name: str
+    flight: str | None
+    unit: str
+    estimate: float
+    grid: FloatArray
+    cost: FloatArray
+    converged: BoolArray
+    level: float
+    lower: float
+    upper: float
+
+
+def profile(
+    problem: Problem,
+    solver: Any,
+    theta: FloatArray,
+    name: str,
+    *,
+    flight: str | None = None,
+    grid: Sequence[float] | None = None,
+    points: int = 6,
+    width: float = 3.0,
+    level: float = 0.95,
+) -> Profile:
+    """Profile of the unknown `name` around the optimum `theta` (n,).
+
+    `grid` gives the values (in the unknown's unit); without it `points` values to either side, `width` standard errors
+    apart at the end, and further ones while the cost has not risen enough. Each point starts from its neighbour. Raises
+    `UnknownNameError` for a name that is no unknown.
+    """
+    place = problem.place(name, flight)
+    if place is None:
+        raise UnknownNameError("unknown", name, {u.name for u in problem.unknowns})
+    u = problem.unknowns[place]
+    logarithmic = u.kind == "noise"
+    best = problem.evaluate(theta)
+    threshold = 0.5 * float(scipy.stats.chi2.ppf(level, 1))
+    centre = float(theta[place])
+    found: dict[float, tuple[float, bool]] = {centre: (best.cost, True)}
+
+    def solve(value: float, near: FloatArray) -> FloatArray:
+        part = Slice(problem=problem, place=place, value=value)
+        estimate, status = solver.solve(part, near)
+        found[value] = (part.evaluate(estimate, 0).cost, bool(status.converged))
+        return np.asarray(estimate)
+
+    if grid is not None:
+        wanted = np.log(np.asarray(grid, dtype=np.float64)) if logarithmic else np.asarray(grid, dtype=np.float64)
+        for side in (np.sort(wanted[wanted > centre]), np.sort(wanted[wanted < centre])[::-1]):
+            near = np.delete(theta, place)
+            for v in side:
+                near = solve(float(v), near)
+    else:
+        step = width * _standard_error(best, place, u.scale) / points
+        for sign, end in ((1.0, u.upper), (-1.0, u.lower)):
+            near, value, size = np.delete(theta, place), centre, step
+            for count in range(3 * points):
+                if (end - value) * sign <= 0:
+                    break
+                value = value + sign * size
+                value = end if (end - value) * sign < 0.1 * size else value
+                near = solve(value, near)
+                if found[value][0] - best.cost > threshold and count + 1 >= min(points, 3):
+                    break
+                size = size if count < points else 2 * size
+    values = np.array(sorted(found))
+    cost = np.array([found[v][0] for v in values])
+    lower, upper = (_crossing(values, cost, centre, best.cost + threshold, s, u) for s in (-1, 1))
+    as_unit = np.exp if logarithmic else np.asarray
+    return Profile(
+        name=name, flight=u.flight, unit=u.unit, estimate=float(as_unit(centre)), grid=np.asarray(as_unit(values)),
+        cost=cost, converged=np.array([found[v][1] for v in values]), level=level, lower=float(as_unit(lower)),
+        upper=float(as_unit(upper)),
+    )  # fmt: skip
+
+
+def _standard_error(value: Value, place: int, scale: float) -> float:
+    """Of one unknown, the others free; its scale where the Hessian does not tell."""
+    assert value.hessian is not None
+    size = np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
+    inverse = np.linalg.pinv(value.hessian / np.outer(size, size), hermitian=True, rcond=1e-12)
+    error = float(np.sqrt(max(inverse[place, place], 0.0)) / size[place])
+    return error if np.isfinite(error) and error > 0 else scale
+
+
+def _crossing(values: FloatArray, cost: FloatArray, centre: float, limit: float, side: int, u: Unknown) -> float:
+    """Where the profile first exceeds `limit` on one side, by monotone interpolation of the root of its rise."""
+    chosen = values >= centre if side > 0 else values <= centre
+    v, c = values[chosen], cost[chosen]
+    order = np.argsort(side * v)
+    v, c = v[order], c[order]
+    above = np.flatnonzero(c > limit)
+    if not above.size:
+        end = u.upper if side > 0 else u.lower
+        return end if np.isfinite(end) and abs(v[-1] - end) <= 1e-12 * max(abs(end), 1e-300) else side * np.inf
+    stop = int(above[0]) + 1
+    rise = np.maximum.accumulate(np.sqrt(np.maximum(c[:stop] - cost[values == centre][0], 0.0)))
+    rise = rise + 1e-12 * np.arange(stop)
+    at = np.sqrt(limit - float(cost[values == centre][0]))
+    return float(scipy.interpolate.PchipInterpolator(rise, v[:stop])(at))
