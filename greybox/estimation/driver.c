@@ -32,19 +32,91 @@ static int is_dense(const INT *sp) { return sp[2] == 1; }
 
 static INT entries(const INT *sp) { return is_dense(sp) ? sp[0] * sp[1] : sp[2 + sp[1]]; }
 
-/* out (rows x n) += M (compressed columns, one lane of it) * in (cols x n) */
-static void sparse_dense(const INT *sp, const REAL *m, const REAL *in, REAL *out, int n) {
+/* Two registers of four numbers. */
+typedef REAL quad __attribute__((vector_size(4 * sizeof(REAL))));
+typedef REAL quad_at __attribute__((vector_size(4 * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
+#define ADD8(factor, from)                           \
+  do {                                               \
+    const REAL f_ = (factor), *v_ = (from);          \
+    low += f_ * *(const quad_at *)v_;                \
+    high += f_ * *(const quad_at *)(v_ + 4);         \
+  } while (0)
+
+/* A sparsity by rows: entries start[i] .. start[i + 1] of row i, each its place in the column-wise numbers and its column. */
+typedef struct {
+  int rows, *start, *place, *column;
+} by_rows;
+
+static int by_rows_length(const INT *sp) { return (int)(sp[0] + 1 + 2 * entries(sp)); }
+
+/* Fills `memory` (by_rows_length integers). */
+static by_rows make_by_rows(const INT *sp, int *memory) {
   const INT nrow = sp[0], ncol = sp[1];
   const INT *colind = sp + 2, *row = sp + 3 + ncol;
-  const int dense = is_dense(sp);
-  for (INT c = 0; c < ncol; ++c) {
-    const REAL *restrict src = in + c * n;
-    const INT from = dense ? c * nrow : colind[c], to = dense ? from + nrow : colind[c + 1];
-    for (INT k = from; k < to; ++k) {
-      const REAL a = m[k * LANES];
-      REAL *restrict dst = out + (dense ? k - from : row[k]) * n;
-      for (int j = 0; j < n; ++j) dst[j] += a * src[j];
+  const int dense = is_dense(sp), nnz = (int)entries(sp);
+  by_rows r = {(int)nrow, memory, memory + nrow + 1, memory + nrow + 1 + nnz};
+  for (INT i = 0; i <= nrow; ++i) r.start[i] = 0;
+  for (int k = 0; k < nnz; ++k) ++r.start[(dense ? k % nrow : row[k]) + 1];
+  for (INT i = 0; i < nrow; ++i) r.start[i + 1] += r.start[i];
+  for (INT c = 0; c < ncol; ++c)
+    for (INT k = dense ? c * nrow : colind[c]; k < (dense ? (c + 1) * nrow : colind[c + 1]); ++k) {
+      const int at = r.start[dense ? k - c * nrow : row[k]]++;
+      r.place[at] = (int)k;
+      r.column[at] = (int)c;
     }
+  for (INT i = nrow; i > 0; --i) r.start[i] = r.start[i - 1];
+  r.start[0] = 0;
+  return r;
+}
+
+/* out (rows x n) = M1 in1 + M2 in2 (M2 NULL: without); m1, m2 one lane of the numbers. Eight columns at a time; the last
+   eight may overlap those before, which changes nothing. */
+static void product(const by_rows *M1, const REAL *m1, const REAL *in1, const by_rows *M2, const REAL *m2, const REAL *in2,
+                    REAL *out, int n) {
+  for (int i = 0; i < M1->rows; ++i) {
+    REAL *dst = out + (size_t)i * n;
+    int c = 0;
+    while (n >= 8 && c < n) {
+      if (c > n - 8) c = n - 8;
+      quad low = {0}, high = {0};
+      for (int k = M1->start[i]; k < M1->start[i + 1]; ++k)
+        ADD8(m1[M1->place[k] * LANES], in1 + (size_t)M1->column[k] * n + c);
+      if (M2)
+        for (int k = M2->start[i]; k < M2->start[i + 1]; ++k)
+          ADD8(m2[M2->place[k] * LANES], in2 + (size_t)M2->column[k] * n + c);
+      *(quad_at *)(dst + c) = low;
+      *(quad_at *)(dst + c + 4) = high;
+      c += 8;
+    }
+    for (; c < n; ++c) {
+      REAL sum = 0;
+      for (int k = M1->start[i]; k < M1->start[i + 1]; ++k)
+        sum += m1[M1->place[k] * LANES] * in1[(size_t)M1->column[k] * n + c];
+      if (M2)
+        for (int k = M2->start[i]; k < M2->start[i + 1]; ++k)
+          sum += m2[M2->place[k] * LANES] * in2[(size_t)M2->column[k] * n + c];
+      dst[c] = sum;
+    }
+  }
+}
+
+/* out (n) = K (ne) dE (ne x n) + e (ne) D (ne x n) (D NULL: without), one row of K dE + dK e. */
+static void correction(const REAL *K, const REAL *dE, const REAL *e, const REAL *D, REAL *out, int ne, int n) {
+  int c = 0;
+  while (n >= 8 && c < n) {
+    if (c > n - 8) c = n - 8;
+    quad low = {0}, high = {0};
+    for (int j = 0; j < ne; ++j) ADD8(K[j], dE + (size_t)j * n + c);
+    if (D)
+      for (int j = 0; j < ne; ++j) ADD8(e[j], D + (size_t)j * n + c);
+    *(quad_at *)(out + c) = low;
+    *(quad_at *)(out + c + 4) = high;
+    c += 8;
+  }
+  for (; c < n; ++c) {
+    REAL sum = 0;
+    for (int j = 0; j < ne; ++j) sum += K[j] * dE[(size_t)j * n + c] + (D ? e[j] * D[(size_t)j * n + c] : 0);
+    out[c] = sum;
   }
 }
 
@@ -94,6 +166,14 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL 
        *A = yh + ny, *B = A + LANES * entries(spA), *E = B + LANES * entries(spB), *H = E + LANES * entries(spE),
        *J1 = H + LANES * entries(spH), *J2 = J1 + LANES * entries(sp1), *dE = J2 + LANES * entries(sp2),
        *T = dE + ne * ns, *T2 = T + nd * ns, *Sn = T2 + nd * ns;
+  int memA[by_rows_length(spA)], memE[by_rows_length(spE)], mem1[by_rows_length(sp1)], mem2[by_rows_length(sp2)];
+  by_rows rA, rE, r1, r2;
+  if (S) {
+    rA = make_by_rows(spA, memA);
+    rE = make_by_rows(spE, memE);
+    r1 = make_by_rows(sp1, mem1);
+    r2 = make_by_rows(sp2, mem2);
+  }
   const REAL *many[5 * LANES];
   REAL *out[4];
   for (int t0 = 0; t0 < n; t0 += LANES) {
@@ -157,42 +237,21 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL 
       const int t = t0 + l, g = pat[t];
       const REAL *m = M + (size_t)t * ne, *e = Es + l * ne;
       if (Sout) memcpy(Sout + (size_t)t * nd * ns, S, (size_t)nd * ns * sizeof(REAL));
-      memset(dE, 0, (size_t)ne * ns * sizeof(REAL));
-      sparse_dense(spE, E + l, S, dE, ns);
+      product(&rE, E + l, S, 0, 0, 0, dE, ns);
       scatter(spH, H + l, dE, ns);
       for (int i = 0; i < ne; ++i)
         if (m[i] == 0) memset(dE + (size_t)i * ns, 0, ns * sizeof(REAL));
       if (Jout) memcpy(Jout + (size_t)t * ne * ns, dE, (size_t)ne * ns * sizeof(REAL));
-      memset(T, 0, (size_t)nd * ns * sizeof(REAL));
-      sparse_dense(spA, A + l, S, T, ns);
+      product(&rA, A + l, S, 0, 0, 0, T, ns);
       scatter(spB, B + l, T, ns);
       if (zero_gain[g]) {
         memcpy(S, T, (size_t)nd * ns * sizeof(REAL));
         continue;
       }
       const REAL *Kg = K + (size_t)g * nd * ne;
-      memset(T2, 0, (size_t)nd * ns * sizeof(REAL));
-      for (int i = 0; i < nd; ++i) {
-        REAL *restrict dst = T2 + (size_t)i * ns;
-        for (int j = 0; j < ne; ++j) {
-          const REAL a = Kg[i * ne + j];
-          if (a == 0) continue;
-          const REAL *restrict src = dE + (size_t)j * ns;
-          for (int c = 0; c < ns; ++c) dst[c] += a * src[c];
-        }
-        if (dK) {
-          const REAL *D = dK + ((size_t)g * nd + i) * ne * ns;
-          for (int j = 0; j < ne; ++j) {
-            const REAL a = e[j];
-            if (a == 0) continue;
-            const REAL *restrict src = D + (size_t)j * ns;
-            for (int c = 0; c < ns; ++c) dst[c] += a * src[c];
-          }
-        }
-      }
-      memset(Sn, 0, (size_t)nd * ns * sizeof(REAL));
-      sparse_dense(sp1, J1 + l, T, Sn, ns);
-      sparse_dense(sp2, J2 + l, T2, Sn, ns);
+      for (int i = 0; i < nd; ++i)
+        correction(Kg + i * ne, dE, e, dK ? dK + ((size_t)g * nd + i) * ne * ns : 0, T2 + (size_t)i * ns, ne, ns);
+      product(&r1, J1 + l, T, &r2, J2 + l, T2, Sn, ns);
       memcpy(S, Sn, (size_t)nd * ns * sizeof(REAL));
     }
   }
