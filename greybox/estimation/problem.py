@@ -49,7 +49,8 @@ class Block:
     e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,) their places among the
     unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing channels and its derivative (n_pat, n_s, n_e,
     n_e), or None where the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives
-    decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s).
+    decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one
+    `group` (n,) share a variance of their own per channel; `weight` is what one row counts.
     """
 
     record: Record
@@ -62,6 +63,8 @@ class Block:
     pattern: npt.NDArray[np.int32]
     variance: FloatArray | None = None
     variance_slope: FloatArray | None = None
+    group: npt.NDArray[np.int32] | None = None
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,10 +225,12 @@ class Problem:
         from greybox.errors import FitError
 
         try:
-            value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
         except (FitError, np.linalg.LinAlgError):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
-        if not np.isfinite(value.cost):
+        numbers = [v for v in (value.cost, value.gradient, value.hessian) if v is not None]
+        if not all(np.isfinite(v).all() for v in numbers):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
         mean = np.array([u.mean for u in self.unknowns])
         precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns])
@@ -272,7 +277,8 @@ def make_problem(
     Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`, less `fixed`; those
     whose declared scope is flight, or that `per_flight` names, get one copy per flight (`shared` takes it back).
     `values` are start values (and the values of fixed parameters), `priors` name -> (mean, sigma) replace declared ones,
-    `flight_priors` hold for every per-flight copy. `noise` gives levels by name ("noise.sensor.p"), in SI units.
+    `flight_priors` hold for every per-flight copy. `noise` gives levels by name, in SI units, for one component
+    ("noise.sensor.p") or a whole group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     declared = {d.name: d for d in dynamics.parameters}
@@ -301,13 +307,19 @@ def make_problem(
     priors, flight_priors = dict(priors or {}), dict(flight_priors or {})
     unknowns = [_declared(declared[n], values[n], None, priors.get(n)) for n in chosen if n not in own]
     noise = dict(noise or {})
+    levels_known = [f"noise.process.{n}" for n in dynamics.noises.names]
+    levels_known += [f"noise.sensor.{n}" for n in dynamics.innovations.names]
+    for n in noise:
+        if not any(_within(k, n) for k in levels_known):
+            raise UnknownNameError("noise level", n, levels_known)
     process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
     for names, levels, prefix, units, spread in (
         (dynamics.noises.names, process, "noise.process.", dynamics.noises.units, 3.0),
         (dynamics.innovations.names, sensor, "noise.sensor.", dynamics.innovations.units, 2.0),
     ):
         for i, n in enumerate(names):
-            levels[i] = noise.get(prefix + n, levels[i])
+            named = [k for k in noise if _within(prefix + n, k)]
+            levels[i] = noise[max(named, key=len)] if named else levels[i]
             if not levels[i] > 0:
                 raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
             if estimate_noise and predictor.has_noise:
@@ -337,6 +349,11 @@ def make_problem(
         means=channel_means(dataset), flights=flights,
         state={"process_level": process, "sensor_level": sensor, "estimate_initial": estimate_initial},
     )  # fmt: skip
+
+
+def _within(level: str, name: str) -> bool:
+    """Whether a noise level is the named one or a member of the named group."""
+    return level == name or level.startswith(name + ".")
 
 
 def _declared(d: Parameter, value: float, flight: str | None, prior: tuple[float, float] | None) -> Unknown:

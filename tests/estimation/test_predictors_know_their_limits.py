@@ -66,7 +66,8 @@ def linear_model() -> StateSpaceModel:
 
     return StateSpaceModel(
         name="linear", states=Layout([Signal(name="x1", unit="1"), Signal(name="x2", unit="1")]),
-        inputs=Layout([Signal(name="u", unit="1")]), outputs=Layout([Signal(name="y", unit="1"), Signal(name="z", unit="1")]),
+        inputs=Layout([Signal(name="u", unit="1")]),
+        outputs=Layout([Signal(name="y", unit="1"), Signal(name="z", unit="1")]),
         parameters=(Parameter(name="a", unit="1", nominal=0.9),), dynamics=f,
         measurement=lambda t, x, u, p: [x[0] + 0.5 * x[1], x[1] - 0.3 * x[0]], discrete=True,
         initial_sigma={"x1": 2.0, "x2": 0.7}, sensor_sigma={"y": 0.3, "z": 0.5},

@@ -1,0 +1,114 @@
+"""Claim: whichever solver, the same optimum: estimates within a thousandth of a standard error, cost within 1e-6."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.criteria.least_squares import LeastSquares
+from greybox.estimation.initialisation import equation_error, noise_start
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictors.simulation import Simulation
+from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.solvers import SOLVERS
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code
+from greybox.symbolic import FloatArray
+from tests import motor
+from tests.simulated import flights, vehicle
+
+FAST = [n for n in SOLVERS if n != "ipopt-exact"]
+
+
+def precise(name: str) -> Any:
+    return SOLVERS[name](tolerance=1e-10)
+
+
+@functools.cache
+def motor_problem(kind: str) -> tuple[Problem, FloatArray, FloatArray]:
+    """(problem, start, optimum by Levenberg-Marquardt)."""
+    predictor, criterion = (Innovation(), Gaussian()) if kind == "innovation" else (Simulation(), LeastSquares())
+    data = motor.record(torque_noise=0.002 if kind == "innovation" else 0.0)
+    problem = make_problem(motor.model(), data, predictor=predictor, criterion=criterion)
+    start = noise_start(problem, equation_error(problem))
+    return problem, start, LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0]
+
+
+@functools.cache
+def quadrotor_problem(kind: str) -> tuple[Problem, FloatArray, FloatArray]:
+    from greybox import build_model
+
+    data = flights(count=1, seconds=4.0)
+    model = build_model(vehicle(), data.channels, ("motor_lag", "command_delay", "rotor_drag", "rotational_damping"))
+    if kind == "innovation":
+        problem = make_problem(model, data, predictor=Innovation(), criterion=Gaussian())
+    else:
+        short = data.split_by_time(at=float(data.segments[0].t[0]) + 2.0)[0]
+        problem = make_problem(model, short, predictor=Simulation(), criterion=LeastSquares())
+    start = noise_start(problem, equation_error(problem))
+    return problem, start, LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(problem, start)[0]
+
+
+def same(problem: Problem, theta: FloatArray, best: FloatArray) -> None:
+    value, other = problem.evaluate(best), problem.evaluate(theta, 0)
+    assert value.hessian is not None
+    error = np.sqrt(np.diag(np.linalg.inv(value.hessian)))
+    assert other.cost == pytest.approx(value.cost, abs=1e-6)
+    assert (np.abs(theta - best) / error).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["innovation", "simulation"])
+@pytest.mark.parametrize("name", SOLVERS)
+def test_on_the_motor(name: str, kind: str) -> None:
+    problem, start, best = motor_problem(kind)
+    theta, status = precise(name).solve(problem, start)
+    assert status.converged, status.advice
+    same(problem, theta, best)
+
+
+@pytest.mark.parametrize("kind", ["innovation", "simulation"])
+@pytest.mark.parametrize("name", FAST)
+def test_on_the_quadrotor(name: str, kind: str) -> None:
+    problem, start, best = quadrotor_problem(kind)
+    theta, status = precise(name).solve(problem, start)
+    assert status.converged, status.advice
+    same(problem, theta, best)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_an_active_bound_is_reached_exactly(name: str) -> None:
+    problem = make_problem(motor.model(), motor.record(), predictor=Simulation(), criterion=Gaussian())
+    i = problem.place("J")
+    assert i is not None
+    unknowns = list(problem.unknowns)
+    unknowns[i] = replace(unknowns[i], lower=2.2e-4)
+    bounded = replace(problem, unknowns=tuple(unknowns))
+    start = equation_error(bounded)
+    best, _ = LevenbergMarquardt(tolerance=1e-12, max_iterations=200).solve(bounded, start)
+    theta, status = precise(name).solve(bounded, start)
+    assert status.converged, status.advice
+    assert theta[i] == 2.2e-4
+    assert bounded.evaluate(theta, 0).cost == pytest.approx(bounded.evaluate(best, 0).cost, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_one_iteration_is_not_called_converged(name: str) -> None:
+    problem, _, _ = motor_problem("simulation")
+    theta, status = SOLVERS[name](max_iterations=1).solve(problem, problem.start)
+    assert not status.converged
+    assert status.advice.startswith("NOT converged")
+    assert theta.shape == (problem.n,)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_start_without_a_finite_cost_is_said(name: str) -> None:
+    problem, _, _ = motor_problem("simulation")
+    bad = problem.start.copy()
+    bad[0] = np.nan
+    _, status = SOLVERS[name]().solve(problem, bad)
+    assert status.code is Code.INVALID_START
