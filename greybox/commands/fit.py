@@ -17,11 +17,16 @@ def names(text: str) -> tuple[str, ...]:
 
 def noise_levels(text: str) -> dict[str, float]:
     """name=value,name=value: noise levels in SI units, "noise." may be left out (sensor.p=0.05)."""
+    return {n if n.startswith("noise.") else f"noise.{n}": v for n, v in values(text).items()}
+
+
+def values(text: str) -> dict[str, float]:
+    """name=value,name=value: parameter values in SI units."""
     out = {}
     for part in names(text):
         name, _, value = part.partition("=")
         try:
-            out[name if name.startswith("noise.") else f"noise.{name}"] = float(value)
+            out[name] = float(value)
         except ValueError:
             raise argparse.ArgumentTypeError(f"expected NAME=NUMBER, got '{part}'") from None
     return out
@@ -44,11 +49,21 @@ def add(subparsers: Any) -> None:
     p.add_argument("--shared", type=names, default=(), metavar="a,b", help="parameters with one value for all flights")
     p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at their value")
     p.add_argument("--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters")
-    p.add_argument("--predictor", default="innovation", help="innovation, kalman, k-step, multiple-shooting, simulation")
+    p.add_argument(
+        "--predictor",
+        default="innovation",
+        help="innovation, kalman, k-step, multi-step, multiple-shooting, simulation",
+    )
     p.add_argument("--criterion", default="gaussian", help="gaussian, robust, least-squares")
-    p.add_argument("--solver", default="levenberg-marquardt", help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt")
+    p.add_argument(
+        "--solver", default="levenberg-marquardt", help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt"
+    )
     p.add_argument("--init", default="noise", help="nominal, noise, equation-error, multistart")
-    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...", help="noise levels to start from")
+    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...",
+                   help="noise levels to start from, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
+    p.add_argument(
+        "--value", type=values, default={}, metavar="a=1,b=2", help="start values (of fixed parameters: values)"
+    )
     p.add_argument("--hold-noise", action="store_true", help="hold all noise levels at their start")
     p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
@@ -112,6 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
         fixed=arguments.fixed,
         per_flight=arguments.per_flight,
         shared=arguments.shared,
+        values=arguments.value,
         noise=arguments.noise,
         estimate_noise=not arguments.hold_noise,
         seed=arguments.seed,
@@ -182,5 +198,7 @@ def series(model: Any, *datasets: Any, ahead_seconds: float = 0.5, limit: int = 
             )
             for j, signal in enumerate(model.dynamics.outputs)
         }
-        out[flight.name] = FlightSeries(t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role)
+        out[flight.name] = FlightSeries(
+            t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role
+        )
     return out

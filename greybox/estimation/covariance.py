@@ -26,9 +26,14 @@ class Covariance:
     sandwich: FloatArray
     blocks: int
 
+    @property
+    def enough(self) -> bool:
+        """Whether there are blocks enough for the sandwich."""
+        return self.blocks >= 8
+
     def chosen(self, coloured: bool) -> FloatArray:
         """The sandwich where the innovations are coloured (and there are blocks enough), else Fisher."""
-        return self.sandwich if coloured and self.blocks >= 20 else self.fisher
+        return self.sandwich if coloured and self.enough else self.fisher
 
 
 def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: BoolArray) -> Covariance:
@@ -45,7 +50,7 @@ def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatA
         meat = np.diag(precision[free])
         if scores is not None:
             part = scores[:, free]
-            meat = meat + part.T @ part
+            meat = meat + part.T @ part * (len(part) / max(len(part) - 1, 1))
         fisher[inside] = inverse
         sandwich[inside] = inverse @ meat @ inverse
         places = np.flatnonzero(free)[empty]

@@ -135,7 +135,7 @@ class Fit:
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
             "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
-            "std_kind": "sandwich" if self.coloured and self.covariance.blocks >= 20 else "fisher",
+            "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
             "correlations": {"names": list(self.correlation_names), "matrix": self.correlations.tolist()},
             "unidentifiable": [c.text for c in self.unidentifiable],
             "flights": [dict(f) for f in self.flights],
@@ -247,7 +247,10 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
     """Errors, identifiability and the identified model at the solution."""
     from dataclasses import replace
 
-    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200)
+    # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
+    # predictor that looks further ahead.
+    ahead = max(getattr(problem.predictor, "horizons", (getattr(problem.predictor, "k", 1),)))
+    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
     precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])
@@ -264,14 +267,16 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
         data_hessian = value.data_hessian
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
             warnings.append("the solver stopped at its own tolerance, but a full step would still lower the cost")
-    blocks = list(problem.predictor.blocks(problem, theta, False)) if value.valid else []
+    # Predictors that look further ahead carry the one-step filter that they start from.
+    one_step = getattr(problem.predictor, "filter", problem.predictor)
+    blocks = list(one_step.blocks(problem, theta, False)) if value.valid else []
     innovations: dict[str, list[FloatArray]] = {}
     whitened: list[FloatArray] = []
     for b in blocks:
         e = np.where(b.mask != 0, b.e, np.nan)
         innovations.setdefault(b.record.flight, []).append(e)
         whitened.append(e)
-    coloured = is_coloured(whitened)
+    coloured = one_step is not problem.predictor or is_coloured(whitened)
     matrix = spread.chosen(coloured)
     alone = _without_priors(problem, value.hessian, precision, held)
     estimates = _estimates(problem, theta, matrix, spread.fisher, held, alone)
@@ -285,6 +290,8 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
     total_held = sum(r.held for r in problem.records)
     if total_held:
         warnings.append(f"{total_held} missing command or voltage cells were held from the sample before")
+    if coloured and not spread.enough:
+        warnings.append("the innovations are coloured and the flights too short to correct the errors for it")
     if not problem.engine.compiled:
         warnings.append("no C compiler was used: CasADi's VM ran the same equations, slower")
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
@@ -434,7 +441,7 @@ def _identified(
         between = _between(np.array([v for v, _ in e.per_flight.values()])) or declared[n].scale
         spread[n] = (e.value, float(between))
     process, sensor = problem.noise_levels(theta)
-    if not problem.predictor.has_noise and innovations:
+    if not problem.predictor.has_noise and not hasattr(problem.predictor, "filter") and innovations:
         stacked = np.concatenate(innovations)
         good = np.isfinite(stacked).any(axis=0)
         rms = np.sqrt(np.nanmean(np.where(good, stacked, 0.0) ** 2, axis=0))
