@@ -58,13 +58,15 @@ def add(subparsers: Any) -> None:
     p.add_argument(
         "--solver", default="levenberg-marquardt", help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt"
     )
-    p.add_argument("--init", default="noise", help="nominal, noise, equation-error, multistart")
+    p.add_argument("--init", default="equation-error", help="equation-error, noise, nominal, multistart, innovation")
     p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...",
                    help="noise levels to start from, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
     p.add_argument(
         "--value", type=values, default={}, metavar="a=1,b=2", help="start values (of fixed parameters: values)"
     )
-    p.add_argument("--hold-noise", action="store_true", help="hold all noise levels at their start")
+    p.add_argument("--hold-noise", nargs="?", const="all", default="none", choices=("none", "sensor", "all"),
+                   help="hold the sensors' or all noise levels at their start")  # fmt: skip
+    p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
     p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
@@ -109,6 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
         input=arguments.input,
         sample_time=sample_time(train),
         noncausal=train.noncausal,
+        kinematic_noise=arguments.kinematic_noise,
     )
     say(f"{train}; model: {model.name}")
 
@@ -129,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
         shared=arguments.shared,
         values=arguments.value,
         noise=arguments.noise,
-        estimate_noise=not arguments.hold_noise,
+        estimate_noise="process" if arguments.hold_noise == "sensor" else arguments.hold_noise == "none",
         seed=arguments.seed,
         progress=progress,
     )

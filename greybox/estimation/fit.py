@@ -8,14 +8,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.errors import UnknownNameError
+from greybox.errors import FitError, UnknownNameError
 from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured, scaled_inverse
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
@@ -179,7 +179,7 @@ def fit(
     predictor: Any = "innovation",
     criterion: Any = "gaussian",
     solver: Any = "levenberg-marquardt",
-    initialisation: str = "nominal",
+    initialisation: str = "equation-error",
     disturbance: Iterable[str] = (),
     free: Iterable[str] | None = None,
     fixed: Iterable[str] = (),
@@ -188,7 +188,7 @@ def fit(
     values: Mapping[str, float] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     noise: Mapping[str, float] | None = None,
-    estimate_noise: bool = True,
+    estimate_noise: bool | Literal["process"] = True,
     seed: int = 0,
     starts: int = 8,
     progress: Progress | None = None,
@@ -200,7 +200,9 @@ def fit(
     the process-noise groups ("force", "torque") that also get a slowly varying disturbance state. Which parameters are
     free, fixed, per flight or shared, start values, priors and noise levels: see
     `greybox.estimation.problem.make_problem`. `initialisation`: "nominal", "noise" (start noise levels from the data),
-    "equation-error" or "multistart" (`starts` random starts with `seed`). `progress(iteration, cost, decrement)` is
+    "equation-error", "multistart" (`starts` random starts with `seed`) or "innovation" (a maximum likelihood fit in
+    innovation form first, whose estimates and noise levels the predictor proper starts from: what a predictor without
+    noise levels of its own wants). `progress(iteration, cost, decrement)` is
     called every iteration. The result says whether the fit converged; a fit that did not never looks like one that did.
     Raises `DataError`, `ModelError`, `UnknownNameError`.
     """
@@ -210,13 +212,27 @@ def fit(
     chosen_predictor = member("predictor", PREDICTORS, predictor)
     chosen_criterion = member("criterion", CRITERIA, criterion)
     chosen_solver = member("solver", SOLVERS, solver)
+    first: Fit | None = None
+    if initialisation == "innovation":
+        first = fit(
+            model, data, criterion=criterion, solver=solver, disturbance=groups, free=free, fixed=fixed,
+            per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
+            estimate_noise=estimate_noise, progress=progress, use_compiler=use_compiler,
+        )  # fmt: skip
+        noise = noise_of(first.model)
     with threadpool_limits(limits=1):
         problem = make_problem(
             dynamics, data, predictor=chosen_predictor, criterion=chosen_criterion, free=free, fixed=fixed,
             per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
             estimate_noise=estimate_noise, use_compiler=use_compiler,
         )  # fmt: skip
-        start = _initialise(problem, initialisation, chosen_solver, seed, starts)
+        if first is not None:
+            found = {(u.name, u.flight): t for u, t in zip(first.problem.unknowns, first.theta, strict=True)}
+            start = np.array([found.get((u.name, u.flight), u.start) for u in problem.unknowns])
+        else:
+            start = _initialise(problem, initialisation, chosen_solver, seed, starts)
+        if hasattr(chosen_predictor, "approach"):  # multiple shooting closes its gaps first
+            start = chosen_predictor.approach(problem, start, progress)
         theta, status = chosen_solver.solve(problem, start, progress)
         result = _finish(problem, data, theta, status, began)
     settings = {
@@ -237,10 +253,24 @@ def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int)
     if how == "noise":
         return init.noise_start(problem)
     if how == "equation-error":
-        return init.equation_error(problem)
+        try:
+            start = init.equation_error(problem)
+            start = init.noise_start(problem, start) if problem.predictor.has_noise else start
+        except FitError:
+            return problem.start
+        better = problem.evaluate(start, 0).cost < problem.evaluate(problem.start, 0).cost
+        return start if better else problem.start
     if how == "multistart":
         return init.multistart(problem, solver, n=starts, seed=seed).theta[0]
-    raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart"))
+    raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart", "innovation"))
+
+
+def noise_of(model: IdentifiedModel) -> dict[str, float]:
+    """Noise levels of a model under the names that `noise` takes."""
+    d = model.dynamics
+    process = dict(zip((f"noise.process.{n}" for n in d.noises.names), model.process_noise.tolist(), strict=True))
+    sensor = dict(zip((f"noise.sensor.{n}" for n in d.innovations.names), model.sensor_noise.tolist(), strict=True))
+    return process | sensor
 
 
 def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float) -> dict[str, Any]:

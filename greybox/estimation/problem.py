@@ -10,7 +10,7 @@ import concurrent.futures
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +50,8 @@ class Block:
     unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing channels and its derivative (n_pat, n_s, n_e,
     n_e), or None where the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives
     decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one
-    `group` (n,) share a variance of their own per channel; `weight` is what one row counts.
+    `group` (n,) share a variance of their own per channel; `weight` is what one row counts, `spacing`
+    how many samples lie between two rows of one group.
     """
 
     record: Record
@@ -65,6 +66,7 @@ class Block:
     variance_slope: FloatArray | None = None
     group: npt.NDArray[np.int32] | None = None
     weight: float = 1.0
+    spacing: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +270,7 @@ def make_problem(
     priors: Mapping[str, tuple[float, float]] | None = None,
     flight_priors: Mapping[str, tuple[float, float]] | None = None,
     noise: Mapping[str, float] | None = None,
-    estimate_noise: bool = True,
+    estimate_noise: bool | Literal["process"] = True,
     estimate_initial: bool = True,
     use_compiler: bool = True,
 ) -> Problem:
@@ -279,6 +281,7 @@ def make_problem(
     `values` are start values (and the values of fixed parameters), `priors` name -> (mean, sigma) replace declared ones,
     `flight_priors` hold for every per-flight copy. `noise` gives levels by name, in SI units, for one component
     ("noise.sensor.p") or a whole group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
+    `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps allow).
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     declared = {d.name: d for d in dynamics.parameters}
@@ -322,7 +325,8 @@ def make_problem(
             levels[i] = noise[max(named, key=len)] if named else levels[i]
             if not levels[i] > 0:
                 raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
-            if estimate_noise and predictor.has_noise:
+            held_here = estimate_noise == "process" and prefix == "noise.sensor."
+            if estimate_noise and predictor.has_noise and not held_here:
                 c = float(np.log(levels[i]))
                 unknowns.append(
                     Unknown(

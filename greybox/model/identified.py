@@ -116,6 +116,7 @@ class IdentifiedModel:
             "sensors": [s.name for s in physics.sensors],
             "input": physics.input,
             "model_sample_time": physics.sample_time,
+            "kinematic_noise": physics.kinematic_noise,
             "disturbance": list(disturbed.groups) if disturbed else [],
             "disturbance_time_constant": disturbed.time_constant if disturbed else None,
             "omega_known": physics.omega_known,
@@ -164,6 +165,7 @@ class IdentifiedModel:
                 sensors=tuple(sensors[n] for n in data["sensors"]),
                 input=data["input"],
                 sample_time=float(data["model_sample_time"]),
+                kinematic_noise=bool(data.get("kinematic_noise", False)),
             )
             if data["disturbance"]:
                 dynamics = Disturbed(

@@ -48,6 +48,8 @@ class PhysicsModel:
     """Newton-Euler multirotor of `vehicle` with `effects` and the sensors named in `sensors`.
 
     `input`: "command" (u1..un) or "speed" (measured rotor speeds omega1..omegan drive the rotors; needs speed_max).
+    `kinematic_noise` adds white noise on the attitude kinematics, for logs whose attitude and gyro drift against each
+    other in time, so that the one is not the integral of the other.
     `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that no sensor can feel,
     directly or through other states, are left out (an IMU-only log has no position). Raises `ModelError`,
     `UnknownNameError`.
@@ -58,6 +60,7 @@ class PhysicsModel:
     sensors: tuple[Sensor, ...] = SENSORS[:5]
     input: Literal["command", "speed"] = "command"
     sample_time: float = 0.01
+    kinematic_noise: bool = False
 
     def __post_init__(self) -> None:
         names = [e.name for e in self.effects]
@@ -194,6 +197,8 @@ class PhysicsModel:
         if "velocity" in self._kept or any(s.name == "accelerometer" for s in self.sensors):
             rows += [Signal(name=f"force.{a}", unit="N", meaning="force noise, body") for a in "xyz"]
         rows += [Signal(name=f"torque.{a}", unit="N m", meaning="torque noise, body") for a in "xyz"]
+        if self.kinematic_noise and "attitude" in self._kept:
+            rows += [Signal(name=f"turn.{a}", unit="rad/s", meaning="noise of the attitude kinematics") for a in "xyz"]
         return Layout(rows)
 
     @cached_property
@@ -419,7 +424,10 @@ class PhysicsModel:
         return ca.vertcat(*(blocks[b] for b in self._kept), *([nu] if self._has_lag else []))
 
     def _noise(self, w: Expr) -> Expr:
-        return w if len(self.noises) == 6 else ca.vertcat(ca.DM.zeros(3), w)
+        """(force, torque, turn) noise (9,), zeros for those that the model does not have."""
+        groups = [n.split(".")[0] for n in self.noises.names[::3]]
+        parts = {g: w[3 * i : 3 * i + 3] for i, g in enumerate(groups)}
+        return ca.vertcat(*(parts.get(g, ca.DM.zeros(3)) for g in ("force", "torque", "turn")))
 
     def _gravity(self) -> Expr:
         return ca.DM([0, 0, -self.vehicle.gravity])
@@ -431,7 +439,7 @@ class PhysicsModel:
         return {
             "position": blocks["velocity"],
             "velocity": flow.rotation @ sf + self._gravity(),
-            "attitude": quat_derivative(blocks["attitude"], blocks["rate"]),
+            "attitude": quat_derivative(blocks["attitude"], blocks["rate"] + w[6:9]),
             "rate": alpha,
         }
 
@@ -444,12 +452,12 @@ class PhysicsModel:
             nu_rate = (steady - nu) / _positive(self._lag(values))
         else:
             nu, nu_rate = steady, steady * 0
-        d = self._derivative(blocks, nu, nu_rate, u, p, ca.DM.zeros(6))
+        d = self._derivative(blocks, nu, nu_rate, u, p, ca.DM.zeros(9))
         return self._join(d, nu_rate)
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
         """Noise-free outputs at the command u (n_u)."""
-        return self._outputs(x, u, p, ca.DM.zeros(6))
+        return self._outputs(x, u, p, ca.DM.zeros(9))
 
     def _outputs(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
         blocks, nu = self._split(x)
@@ -589,10 +597,11 @@ class PhysicsModel:
         return np.asarray(out)
 
     def noise_scale(self, dt: float) -> FloatArray:
-        """0.1 m/s^2 and 1 rad/s^2 of white acceleration per sample."""
+        """0.1 m/s^2 and 1 rad/s^2 of white acceleration per sample, 0.1 rad/s on the attitude kinematics."""
         force = 0.1 * self.vehicle.mass.value
         torque = [1.0 * float(self.vehicle.inertia[i][i]) for i in range(3)]
-        return np.array(([force] * 3 if len(self.noises) == 6 else []) + torque)
+        parts = {"force": [force] * 3, "torque": torque, "turn": [0.1] * 3}
+        return np.array([v for n in self.noises.names[::3] for v in parts[n.split(".")[0]]])
 
     def sensor_scale(self) -> FloatArray:
         """The vehicle file's [noise], else values typical of small quadrotors."""
@@ -707,11 +716,12 @@ def build_model(
     input: Literal["command", "speed"] = "command",
     sample_time: float = 0.01,
     noncausal: Iterable[str] = (),
+    kinematic_noise: bool = False,
 ) -> PhysicsModel:
     """The model for a vehicle and a log: its known effects, the ones asked for, and the sensors that the log fills.
 
     `columns` are the channels of the data (`Dataset.channels`), `noncausal` those that were smoothed with later samples
-    and must not serve as measurements. Raises `ModelError`, `UnknownNameError`.
+    and must not serve as measurements; `kinematic_noise` is that of `PhysicsModel`. Raises `ModelError`, `UnknownNameError`.
     """
     usable = set(columns) - set(noncausal)
     names = list(vehicle.effects)
@@ -728,4 +738,5 @@ def build_model(
         sensors=sensors_for(usable, vehicle, exclude=exclude),
         input=input,
         sample_time=sample_time,
+        kinematic_noise=kinematic_noise,
     )

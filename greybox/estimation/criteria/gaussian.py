@@ -72,7 +72,7 @@ class Gaussian:
         parts = [[_rows(b, g) for g in groups] for b in blocks]
         variances = [self.variances([p[j] for p in parts]) for j in range(len(groups))]
         for b, members in zip(blocks, parts, strict=True):
-            windows = max(1, round(scores / (b.weight * len(groups)))) if scores else None  # samples to windows
+            windows = max(1, round(scores / b.spacing)) if scores else None  # samples to windows
             table = np.zeros((0, n))
             for part, variance in zip(members, variances, strict=True):
                 spread = np.where(part.mask != 0, variance, 1.0)

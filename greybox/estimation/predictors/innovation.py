@@ -60,12 +60,13 @@ class Innovation:
         shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
         dvalues = tuple(v * shared[:, None, None] for v in dvalues)
         na, nw, ne = len(problem.engine.active), q.size, r.size
-        noisy = 0 if problem.place("noise.process." + problem.dynamics.noises.names[0]) is None else nw + ne
-        dq, dr = np.zeros((na + noisy, nw)), np.zeros((na + noisy, ne))
-        if noisy:
-            dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
-            dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
-        return stationary(values, q, r, weak, dvalues, dq, dr)
+        free = [problem.place(n) is not None for n in noise_names(problem)]
+        dq = np.zeros((na + nw + ne, nw))
+        dr = np.zeros((na + nw + ne, ne))
+        dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
+        dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
+        keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
+        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep])
 
     def tables(
         self, riccati: Riccati, patterns: FloatArray, extra: int
@@ -89,9 +90,7 @@ class Innovation:
         engine = problem.engine
         free_start = bool(problem.state["estimate_initial"])
         nd = engine.nd if free_start else 0
-        noise = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
-        noise += [f"noise.sensor.{n}" for n in problem.dynamics.innovations.names]
-        places = [problem.place(n) for n in noise]
+        places = [problem.place(n) for n in noise_names(problem)]
         noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
         ns = len(engine.active) + noise_columns.size + nd
 
@@ -123,3 +122,9 @@ class Innovation:
             )  # fmt: skip
 
         return problem.map_records(work)
+
+
+def noise_names(problem: Problem) -> list[str]:
+    """Names of all noise levels, process first, in the order of the columns of every predictor."""
+    names = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
+    return names + [f"noise.sensor.{n}" for n in problem.dynamics.innovations.names]
