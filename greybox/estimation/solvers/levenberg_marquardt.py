@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on exact sensitivities, with bounds by an active set.
 
-More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by projection:
-an unknown at its bound whose gradient points outward is held for the step.
+More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by an
+active set on the quadratic model (`boxed_step`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ import scipy.linalg
 from greybox.estimation.problem import Problem
 from greybox.estimation.status import Code, Status
 from greybox.symbolic import BoolArray, FloatArray
+
+SHARES = (0.3, 0.1)
+"""Parts of a failed step that are tried before the damping grows."""
 
 Progress = Callable[[int, float, float], None]
 
@@ -49,8 +52,8 @@ class LevenbergMarquardt:
             for iteration in range(1, self.max_iterations + 1):
                 assert value.gradient is not None and value.hessian is not None
                 g, h = value.gradient, value.hessian
-                held = ((x <= lower) & (g > 0)) | ((x >= upper) & (g < 0))
-                decrement = newton_decrement(g, h, held)
+                full = boxed_step(g, h, lower - x, upper - x, 0.0)
+                decrement = max(-float(g @ full + 0.5 * full @ h @ full), 0.0)
                 if progress:
                     progress(iteration, value.cost, decrement)
                 if decrement < self.tolerance:
@@ -58,7 +61,7 @@ class LevenbergMarquardt:
                     break
                 moved = False
                 for _ in range(30):
-                    step = damped_step(g, h, held, damping)
+                    step = full if damping == 0.0 else boxed_step(g, h, lower - x, upper - x, damping)
                     new = np.clip(x + step, lower, upper)
                     taken = new - x
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
@@ -75,6 +78,18 @@ class LevenbergMarquardt:
                         break
                     if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(abs(value.cost), 1.0):
                         break
+                    # In a curved valley damping stalls; a part of the same step often gains most of it.
+                    for share in SHARES:
+                        part = share * taken
+                        gain = value.cost - problem.evaluate(x + part, 0).cost
+                        evaluations += 1
+                        if gain > 0.1 * share * float(-(g @ taken)) > 0:
+                            trial = problem.evaluate(x + part)
+                            moved = trial.valid and trial.cost < value.cost
+                            break
+                    if moved:
+                        x, value = x + part, trial
+                        break
                     damping = max(10 * damping, 1e-6)
                 if not moved:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
@@ -88,6 +103,34 @@ def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
     """g' H^-1 g / 2 over the unknowns that are not held: the decrease that a full step promises."""
     step = damped_step(g, h, held, 0.0)
     return max(-0.5 * float(g @ step), 0.0)
+
+
+def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, damping: float) -> FloatArray:
+    """Minimiser of the damped quadratic model within low <= step <= high, by an active set.
+
+    Unknowns that the step would carry past a bound stop there and the others are solved again; one that the new solution
+    would pull back inside is released. (Clipping a Newton step instead is not a descent direction when unknowns are
+    correlated: Bertsekas 1982, SIAM J. Control and Optimization 20(2).)
+    """
+    step = np.zeros_like(g)
+    held = ((low >= 0) & (g > 0)) | ((high <= 0) & (g < 0))
+    for _ in range(2 * g.size + 2):
+        step = np.where(held, step, 0.0)
+        part = damped_step(g + h @ step, h, held, damping)
+        whole = step + part
+        over = ~held & ((whole < low) | (whole > high))
+        if over.any():
+            held = held | over
+            step = np.where(over, np.clip(whole, low, high), step)
+            continue
+        slope = g + h @ whole
+        back = held & (((whole <= low) & (slope < 0) & (low < 0)) | ((whole >= high) & (slope > 0) & (high > 0)))
+        if not back.any():
+            return whole
+        worst = int(np.argmax(np.where(back, np.abs(slope) / np.sqrt(np.maximum(np.diag(h), 1e-300)), -1.0)))
+        held[worst] = False
+        step[worst] = 0.0
+    return np.clip(step, low, high)
 
 
 def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float) -> FloatArray:
