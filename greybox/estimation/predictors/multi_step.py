@@ -6,8 +6,9 @@ A model for control is used open loop over a horizon; where the noise is not wha
 against each other, coloured torque) the one-step likelihood trades long-run accuracy for it. The gain follows from noise
 levels that are held. Errors are weighed per horizon and channel (their variances are concentrated out), so that no
 horizon dominates. Errors from neighbouring samples share almost everything that caused them: one longest horizon of
-samples counts as one observation, or priors would be worth nothing. (Shook, Mohtadi and Shah 1992, A
-control-relevant identification strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011, Simulation error minimization, Int. J. Control 84(2).)
+samples counts as one observation, or priors would be worth nothing. (Shook, Mohtadi and Shah 1992, A control-relevant
+identification strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011, Simulation error minimization, Int. J. Control
+84(2).)
 """
 
 from __future__ import annotations

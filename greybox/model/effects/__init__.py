@@ -18,6 +18,7 @@ from greybox.model.effects.pose_delay import PoseDelay
 from greybox.model.effects.rotational_damping import RotationalDamping
 from greybox.model.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.model.effects.rotor_drag import RotorDrag
+from greybox.model.effects.rotor_gyroscopic import RotorGyroscopic
 from greybox.model.effects.thrust_curve import ThrustCurve
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -30,6 +31,7 @@ CATALOGUE: tuple[Effect, ...] = (
     RotorDrag(),
     BladeFlapping(),
     RotationalDamping(),
+    RotorGyroscopic(),
     ConstantForce(),
     ImuMisalignment(),
     PoseDelay(),
