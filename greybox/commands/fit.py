@@ -147,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / "fit.json", content)
     result.model.save(out / "model.json")
     write_json(out / "validate.json", checked)
-    page = fit_report(content, series(result.model, train, test), checked)
+    page = fit_report(content, series(result.model, train, test), checked, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
