@@ -15,7 +15,12 @@ from matplotlib.figure import Figure
 
 from greybox.files import read_json, write_atomic
 
-GROUPS = {"position": "position [m]", "velocity": "velocity [m/s]", "rotation": "attitude [deg]", "rate": "body rate [rad/s]"}
+GROUPS = {
+    "position": "position [m]",
+    "velocity": "velocity [m/s]",
+    "rotation": "attitude [deg]",
+    "rate": "body rate [rad/s]",
+}
 ROWS = {
     "persistence": ("last value held", "0.6", "--"),
     "model": ("greybox", "tab:blue", "-"),

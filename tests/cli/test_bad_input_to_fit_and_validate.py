@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
+from scenarios.excitation.hover import Hover
+from scenarios.excitation.injection import rich_excitation
 from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
-from scenarios.excitation.hover import Hover
-from scenarios.excitation.injection import rich_excitation
 from scenarios.studies.recovery import plant
 
 
