@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -187,6 +189,9 @@ def test_fit_then_validate_on_another_flight(
     assert fit["status"]["converged"]
     assert abs(fit["parameters"]["motor_lag.tau"]["value"] - 0.05) < 0.005
     assert "<html" in (out / "report.html").read_text()
+    for name in ("fit", "model", "validate"):
+        schema = json.loads(resources.files("greybox.schemas").joinpath(f"{name}.json").read_text())
+        jsonschema.validate(json.loads((out / f"{name}.json").read_text()), schema)
     capsys.readouterr()
     assert main(["validate", str(out / "model.json"), "--log", "b.csv", "--horizons", "1,10,50", "--json", "-"]) == 0
     result = json.loads(capsys.readouterr().out)
