@@ -17,7 +17,7 @@ which knows no later sample). RMSE of the vector norm, all steps of 10 ms. The r
     + linear drag             horizontal specific force -k v_body
     + velocity moment         roll acceleration + c v_y, pitch acceleration + c v_x
     + rate damping            angular acceleration - d omega, per axis
-    + torque disturbance      Kalman filter of (rate, torque) per axis, torque a random walk; from the gyro alone
+    + torque disturbance      Kalman filter of (rate, torque) per axis, torque fading; from the gyro alone
     dead reckoning            measured rate and specific force integrated, biases from the first 5 s
 
 Delay and lag of the commands, and the noise ratio of the Kalman filter, are those with the least squared error on the
@@ -54,11 +54,13 @@ HORIZONS = (5, 10, 20, 50)
 DAMPINGS = (0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0)
 """Rate damping that is tried [1/s]."""
 UP = np.array([0.0, 0.0, 9.81])
+FADE = float(np.exp(-DT / 0.3))
+"""What a step leaves of a torque disturbance: it fades within some tenths of a second."""
 WINDOW = 7
 """Savitzky-Golay window (quadratic) for the derivative that biases come from [samples]."""
 LAGS = (0.0, 0.02, 0.035, 0.05)
 DELAYS = (0.0, 0.01, 0.02, 0.03)
-RATIOS = (0.0, 0.03, 0.1, 0.3, 1.0)
+RATIOS = (0.0, 0.1, 0.3, 1.0, 3.0)
 ROWS = (
     "k u^2",
     "+ per-flight biases",
@@ -247,8 +249,8 @@ def observe(s: Signals, rung: Ladder, own: Biases) -> tuple[FloatArray, FloatArr
     """(rate, torque disturbance) (N, 3) at every sample; the measured rate and zero without the Kalman filter."""
     if not rung.ratio:
         return s.rate, np.zeros((s.n, 3))
-    a, c = np.array([[1.0, DT], [0.0, 1.0]]), np.array([1.0, 0.0])
-    q, p = np.diag([1e-4, (rung.ratio) ** 2]), np.eye(2)
+    a, c = np.array([[1.0, DT], [0.0, FADE]]), np.array([1.0, 0.0])
+    q, p = np.diag([1e-3, rung.ratio**2]), np.eye(2)
     r = 0.02**2
     for _ in range(2000):
         k = p @ c / (c @ p @ c + r)
@@ -284,7 +286,7 @@ def simulate(s: Signals, rung: Ladder, origins: FloatArray) -> dict[str, FloatAr
         p = p + DT * v + 0.5 * DT * DT * a
         v = v + DT * a
         q = numeric("multiply", q, numeric("exp", DT * (w + 0.5 * DT * alpha)))
-        w = w + DT * alpha
+        w, d = w + DT * alpha, FADE * d
         for g, value in zip(out, (p, v, q, w), strict=True):
             out[g][:, h] = value
     return out
@@ -322,7 +324,7 @@ def line(label: str, table: HorizonTable) -> str:
     """One row as in the ladder: p50, v10, v50, R10, R50 [deg], rate 1, 10, 50."""
     g = table.groups
     cells = [
-        f"{g[n].rmse[h - 1] * (180 / np.pi if n == 'rotation' else 1.0):8.3f}" if n in g else f"{'-':>8}"
+        f"{g[n].rmse[h - 1] * (180 / np.pi if n == 'rotation' else 1.0):8.4f}" if n in g else f"{'-':>8}"
         for n, h in (
             ("position", 10), ("position", 50), ("velocity", 10), ("velocity", 50), ("rotation", 10), ("rotation", 50),
             ("rate", 1), ("rate", 10), ("rate", 50),
