@@ -5,6 +5,7 @@ CasADi has no type stubs; `Expr` stands for an SX or MX expression everywhere el
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ import numpy.typing as npt
 from greybox.errors import ModelError, UnknownNameError
 
 Expr = Any
+CHUNK = 1024
+"""Samples that one call of a mapped function takes."""
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -106,5 +109,22 @@ def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
     n = lengths.pop() if lengths else 1
     if n == 0:
         return np.zeros((0, function.size1_out(0)))
-    args = [a.T if a.ndim == 2 else np.repeat(a.reshape(-1, 1), n, axis=1) for a in arrays]
-    return np.asarray(function.map(n)(*args).full(), dtype=np.float64).T
+    wide = [np.ascontiguousarray(a if a.ndim == 2 else np.broadcast_to(a.ravel(), (n, a.size))) for a in arrays]
+    dense = all(function.sparsity_in(i).is_dense() for i in range(len(wide))) and function.sparsity_out(0).is_dense()
+    if not dense or any(a.shape[1] != function.numel_in(i) for i, a in enumerate(wide)):
+        return np.asarray(function.map(n)(*(a.T for a in wide)).full(), dtype=np.float64).T
+    out = np.empty((n, function.numel_out(0)))
+    for at in range(0, n, CHUNK):
+        size = min(CHUNK, n - at)
+        # The function reads and writes the arrays where they are: columns of CasADi are rows here.
+        buffer, run = _mapped(function, size).buffer()
+        for i, a in enumerate(wide):
+            buffer.set_arg(i, memoryview(a[at : at + size]))
+        buffer.set_res(0, memoryview(out[at : at + size]))
+        run()
+    return out
+
+
+@functools.lru_cache(maxsize=64)
+def _mapped(function: Any, n: int) -> Any:
+    return function.map(n)

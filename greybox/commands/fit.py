@@ -71,6 +71,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
@@ -102,8 +103,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError(
             f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
         )
-    faults = check(train, vehicle)
-    warnings = [f.message for f in faults.findings if f.severity == "blocking"]
+    if test.flights and abs(sample_time(test) - sample_time(train)) > 1e-6 * sample_time(train):
+        test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train))
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    faults = check(train + test, vehicle)
+    warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
+    for warning in warnings:
+        print(f"greybox fit: {warning}", file=sys.stderr)
     model = build_model(
         vehicle,
         train.channels,
@@ -123,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
         train,
         predictor=arguments.predictor,
         criterion=arguments.criterion,
-        solver=arguments.solver,
+        solver=_solver(arguments.solver, arguments.max_iterations),
         initialisation=arguments.init,
         disturbance=arguments.disturbance,
         free=arguments.free,
@@ -137,17 +144,30 @@ def run(arguments: argparse.Namespace) -> int:
         progress=progress,
     )
     content = result.to_dict()
-    content["warnings"] = [*(f"data fault: {w}" for w in warnings), *content["warnings"]]
+    content["warnings"] = [*warnings, *content["warnings"]]
     content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["fit"] else "greybox fit"
-    validated = test if test.flights else train
-    checked = validate(result.model, validated, horizons=horizons, adapt=arguments.adapt).to_dict()
-    if not test.flights:
-        checked.setdefault("warnings", []).insert(0, "validated on the flights that were fitted: give --test flights")
     out = Path(arguments.out)
+    # The fit is safe before anything else can go wrong.
     write_json(out / "fit.json", content)
     result.model.save(out / "model.json")
-    write_json(out / "validate.json", checked)
-    page = fit_report(content, series(result.model, train, test), checked, title=f"Fit of {vehicle.name}")
+    validated = test if test.flights else train
+    checked: dict[str, Any] | None = None
+    try:
+        checked = validate(result.model, validated, horizons=horizons, adapt=arguments.adapt).to_dict()
+    except GreyboxError as error:
+        content["warnings"].insert(0, f"no validation: {error}")
+        print(f"greybox fit: no validation: {error}", file=sys.stderr)
+        write_json(out / "fit.json", content)
+    if checked is not None:
+        if not test.flights:
+            checked.setdefault("warnings", []).insert(
+                0, "validated on the flights that were fitted: give --test flights"
+            )
+        write_json(out / "validate.json", checked)
+    adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
+    page = fit_report(
+        content, series(result.model, train, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"
+    )
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
@@ -155,8 +175,19 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, content)
     if not quiet:
         print(result.summary())
-        print(f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'validate.json'} and {report}")
+        print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
     return 0 if result.converged else 1
+
+
+def _solver(name: str, limit: int | None) -> Any:
+    """The solver, with another iteration limit where one is given."""
+    from dataclasses import replace
+
+    from greybox.estimation.fit import member
+    from greybox.estimation.solvers import SOLVERS
+
+    solver = member("solver", SOLVERS, name)
+    return solver if limit is None else replace(solver, max_iterations=limit)
 
 
 def _horizons(text: str) -> tuple[int, ...]:
@@ -171,7 +202,9 @@ def _horizons(text: str) -> tuple[int, ...]:
     return values
 
 
-def series(model: Any, *datasets: Any, ahead_seconds: float = 0.5, limit: int = 3) -> dict[str, Any]:
+def series(
+    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 3
+) -> dict[str, Any]:
     """Time series of up to `limit` flights per data set for the report: measured, one step and some way ahead."""
     import numpy as np
 
@@ -187,7 +220,9 @@ def series(model: Any, *datasets: Any, ahead_seconds: float = 0.5, limit: int = 
     out: dict[str, Any] = {}
     for role, flight in chosen:
         segment = max(flight.segments, key=lambda s: s.n)
-        filtered = runner.run(segment)
+        own = (adapted or {}).get(flight.name)
+        p = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values}) if own else None
+        filtered = runner.run(segment, p=p)
         origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
         ahead = np.full_like(filtered.outputs, np.nan)
         if origins.size:

@@ -32,8 +32,16 @@ class Covariance:
         return self.blocks >= 8
 
     def chosen(self, coloured: bool) -> FloatArray:
-        """The sandwich where the innovations are coloured (and there are blocks enough), else Fisher."""
-        return self.sandwich if coloured and self.enough else self.fisher
+        """The sandwich where the innovations are coloured (and there are blocks enough), never below Fisher; else Fisher."""
+        if not (coloured and self.enough):
+            return self.fisher
+        # An unknown that few blocks see (one flight's own) has scores that cancel among them: its sandwich variance is
+        # too small, so that no error is reported below Fisher's.
+        low, high = np.diag(self.sandwich), np.diag(self.fisher)
+        usable = (low > 0) & np.isfinite(low) & np.isfinite(high)
+        factor = np.ones(low.size)
+        factor[usable] = np.sqrt(np.maximum(high[usable] / low[usable], 1.0))
+        return self.sandwich * np.outer(factor, factor)
 
 
 def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatArray, held: BoolArray) -> Covariance:

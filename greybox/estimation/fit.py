@@ -317,6 +317,12 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
         for n, e in estimates.items()
         if e.at_bound
     ]
+    gaps = _gappy(problem)
+    if gaps and problem.predictor.name == "innovation":
+        warnings.append(
+            f"{', '.join(gaps)} missing in more than 5 % of the samples: the stationary gain assumes that they are there; "
+            "use the kalman predictor"
+        )
     total_held = sum(r.held for r in problem.records)
     if total_held:
         warnings.append(f"{total_held} missing command or voltage cells were held from the sample before")
@@ -353,6 +359,12 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
         "settings": {}, "warnings": tuple(warnings), "data_hash": data.hash, "problem": problem, "theta": theta,
         "covariance": spread,
     }  # fmt: skip
+
+
+def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
+    """Innovation components that are missing in more than `share` of the samples, yet not always."""
+    seen = np.concatenate([r.mask for r in problem.records]).mean(axis=0)
+    return [n for n, s in zip(problem.dynamics.innovations.names, seen, strict=True) if 0 < s < 1 - share]
 
 
 def _label(u: Any) -> str:

@@ -12,8 +12,8 @@ class Code(enum.Enum):
 
     CONVERGED = "Converged: the gradient vanishes to far below one standard error of every estimate."
     MAX_ITERATIONS = (
-        "NOT converged: the iteration limit was reached. Give better start values or --max-iterations, or fix parameters "
-        "that the data cannot identify."
+        "NOT converged: the iteration limit was reached. Raise --max-iterations, give better start values, or fix "
+        "parameters that the data cannot identify."
     )
     NO_PROGRESS = (
         "NOT converged: no step lowers the cost although the gradient does not vanish. The model may be discontinuous "

@@ -724,8 +724,10 @@ def build_model(
     and must not serve as measurements; `kinematic_noise` is that of `PhysicsModel`. Raises `ModelError`, `UnknownNameError`.
     """
     usable = set(columns) - set(noncausal)
-    names = list(vehicle.effects)
-    chosen: list[Effect] = [effect_by_name(n) for n in names]
+    chosen: list[Effect] = [effect_by_name(n) for n in vehicle.effects]
+    if input == "speed":  # measured rotor speeds already contain what shapes the command
+        chosen = [e for e in chosen if e.stage not in ("command", "rotor")]
+    names = [e.name for e in chosen]
     for e in effects:
         effect = effect_by_name(e) if isinstance(e, str) else e
         if effect.name not in names:

@@ -35,6 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         ["fit", "--vehicle", vehicle, "--train", *map(str, train), "--test", *map(str, test), *nanobench_options(),
          "--adapt", "5", "--out", arguments.out]
     )  # fmt: skip
+    if code == 2:
+        return code
     print(f"\nDone in {time.perf_counter() - began:.0f} s. Open {Path(arguments.out).resolve() / 'report.html'}")
     return code
 

@@ -25,3 +25,14 @@ def test_speed_input_and_speed_output_recover_the_same_physics() -> None:
         assert result.converged
         for name, estimate in result.parameters.items():
             assert abs(estimate.value - truth()[name]) < 4.5 * estimate.std, (model.input, name)
+
+
+def test_a_vehicle_that_knows_its_lag_may_still_be_driven_by_measured_speed() -> None:
+    from dataclasses import replace
+
+    from greybox.model.vehicle import Quantity
+
+    known = replace(vehicle(), effects={"motor_lag": {"tau": Quantity(value=0.05)}})
+    columns = ["p", "q", "r", "omega1", "omega2", "omega3", "omega4"]
+    assert build_model(known, columns, input="speed").effects == ()
+    assert [e.name for e in build_model(known, [*columns, "u1", "u2", "u3", "u4"]).effects] == ["motor_lag"]

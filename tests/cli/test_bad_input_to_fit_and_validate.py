@@ -201,3 +201,20 @@ def test_fit_then_validate_on_another_flight(
     floor = {row["h"]: row["groups"]["rate"]["rmse"] for row in result["persistence"]["horizons"]}
     assert rows[10] < floor[10]
     assert np.isfinite(result["simerr"]["position"])
+
+
+def test_a_fit_outlives_a_validation_that_cannot_be_made(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(files)
+    _edit(files / "b.csv", files / "short.csv", lambda lines: lines[:40])
+    out = tmp_path / "out"
+    code = main(
+        ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "short.csv", "--effects",
+         "motor_lag,command_delay,rotor_drag,rotational_damping", "--out", str(out)]
+    )  # fmt: skip
+    assert code == 0
+    assert "no validation" in capsys.readouterr().err
+    assert "no validation" in json.loads((out / "fit.json").read_text())["warnings"][0]
+    assert (out / "model.json").exists()
+    assert not (out / "validate.json").exists()
