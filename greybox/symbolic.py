@@ -119,8 +119,8 @@ def evaluate(function: Any, *columns: npt.ArrayLike) -> FloatArray:
         # The function reads and writes the arrays where they are: columns of CasADi are rows here.
         buffer, run = _mapped(function, size).buffer()
         for i, a in enumerate(wide):
-            buffer.set_arg(i, memoryview(a[at : at + size]))
-        buffer.set_res(0, memoryview(out[at : at + size]))
+            buffer.set_arg(i, a[at : at + size].data)
+        buffer.set_res(0, out[at : at + size].data)
         run()
     return out
 
