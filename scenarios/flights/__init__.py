@@ -65,25 +65,3 @@ def nanobench_split() -> tuple[list[Path], list[Path]]:
         [flight_path("nanobench", name) for name in NANOBENCH_TRAIN],
         [flight_path("nanobench", name) for name in NANOBENCH_TEST],
     )
-
-
-def nanobench_options() -> list[str]:
-    """Options of `greybox fit` for the nanobench set, chosen on the training flights alone (scenarios/studies).
-
-    Battery compensation makes u V the driving voltage (c_V = 1). Trims, thrust scale, marker frame and stream offset differ
-    from flight to flight; attitude and on-board streams drift against each other, hence the kinematic noise and the
-    multi-step errors.
-    """
-    effects = (
-        "motor_lag,command_delay,battery_sag,rotor_drag,blade_flapping,rotational_damping,rotor_asymmetry,"
-        "accelerometer_bias,gyro_bias,mocap_misalignment,pose_delay"
-    )
-    per_flight = (
-        "thrust.c2,rotor_asymmetry.delta_1,rotor_asymmetry.delta_2,rotor_asymmetry.delta_3,"
-        "mocap_misalignment.theta_x,mocap_misalignment.theta_y,mocap_misalignment.theta_z,pose_delay.d"
-    )
-    return [
-        "--effects", effects, "--per-flight", per_flight, "--fixed", "mass,battery_sag.c_V", "--value", "battery_sag.c_V=1",
-        "--disturbance", "force,torque", "--kinematic-noise", "--hold-noise", "sensor", "--init", "innovation",
-        "--predictor", "multi-step",
-    ]  # fmt: skip

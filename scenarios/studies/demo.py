@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.cli import main as greybox
-from scenarios.flights import nanobench_options, nanobench_split, vehicle_path
+from scenarios.flights import nanobench_split, vehicle_path
+from scenarios.studies.nanobench import options
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     greybox(["check", "--vehicle", vehicle, *map(str, train)])
     print("\n2. Fit, then validate on flights that the fit never saw.")
     code = greybox(
-        ["fit", "--vehicle", vehicle, "--train", *map(str, train), "--test", *map(str, test), *nanobench_options(),
+        ["fit", "--vehicle", vehicle, "--train", *map(str, train), "--test", *map(str, test), *options(),
          "--adapt", "5", "--out", arguments.out]
     )  # fmt: skip
     if code == 2:

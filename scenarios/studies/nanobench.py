@@ -46,6 +46,15 @@ PER_FLIGHT = (
 FIXED = ("mass", "battery_sag.c_V", "torque.c2")
 
 
+def options() -> list[str]:
+    """The same choices as options of `greybox fit`."""
+    return [
+        "--effects", ",".join(EFFECTS), "--per-flight", ",".join(PER_FLIGHT), "--fixed", ",".join(FIXED),
+        "--value", "battery_sag.c_V=1", "--disturbance", "force,torque", "--kinematic-noise", "--hold-noise", "sensor",
+        "--init", "innovation", "--predictor", "multi-step",
+    ]  # fmt: skip
+
+
 def fit_flights(vehicle: Vehicle, data: Dataset) -> Fit:
     """The fit of the command line above."""
     model = build_model(
