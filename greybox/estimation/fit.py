@@ -1,13 +1,14 @@
 """fit: estimate a model's parameters from flights by the prediction error method, and say how sure the numbers are.
 
 fit is a function from values to a value: model, data and choices in, a frozen `Fit` out; nothing is changed in place.
+The file is long because the result type and the steps that fill it field by field are one idea and read side by side.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -275,8 +276,6 @@ def noise_of(model: IdentifiedModel) -> dict[str, float]:
 
 def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float) -> dict[str, Any]:
     """Errors, identifiability and the identified model at the solution."""
-    from dataclasses import replace
-
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
     # predictor that looks further ahead.
     ahead = max(getattr(problem.predictor, "horizons", (getattr(problem.predictor, "k", 1),)))
@@ -401,7 +400,9 @@ def _estimates(
             continue
         first = problem.unknowns[places[0]]
         has_prior = bool(np.isfinite(first.sigma))
-        shares = [1.0 - fisher[i, i] / alone[i] if alone[i] > 0 else 0.0 for i in places if not held[i]]
+        # Where neither data nor prior say anything both variances are infinite: no prior decided.
+        known = [i for i in places if not held[i] and np.isfinite(fisher[i, i])]
+        shares = [1.0 - fisher[i, i] / alone[i] if alone[i] > 0 else 0.0 for i in known]
         influence = float(np.clip(np.mean(shares), 0.0, 1.0)) if shares else 0.0
         common: dict[str, Any] = {
             "name": d.name, "unit": d.unit, "prior": (first.mean, first.sigma) if has_prior else None,

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.model.dynamics import Dynamics
@@ -224,8 +224,6 @@ class Problem:
 
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
         """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that many samples."""
-        from greybox.errors import FitError
-
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)

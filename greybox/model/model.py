@@ -88,8 +88,6 @@ class PhysicsModel:
             have = {s.name for s in self.sensors}
             if e.needs.sensors and not have & set(e.needs.sensors):
                 raise ModelError(f"effect {e.name} needs a sensor that the log lacks: {' or '.join(e.needs.sensors)}")
-        if sum("lag" in SLOTS["rotor"] and e.name == "motor_lag" for e in self.effects) > 1:
-            raise ModelError("at most one rotor lag")
         ordered = tuple(sorted(self.effects, key=lambda e: (list(SLOTS).index(e.stage), e.order, e.name)))
         object.__setattr__(self, "effects", ordered)
 
