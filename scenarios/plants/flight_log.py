@@ -15,7 +15,9 @@ from scenarios.plants.quadrotor import Quadrotor
 Log = dict[str, NDArray[np.float64]]
 """Columns by name; t has shape (N,), every other column (N,), or (N, B) for a batch."""
 TRUTH = "true."
-"""Prefix of the columns that a real log would not have."""
+"""Prefix of the columns that a real log would not have: the true states."""
+CLEAN = "clean."
+"""Prefix of what the sensors would have said without noise, bias, scale and delay included."""
 
 
 class Reference(Protocol):
@@ -60,13 +62,15 @@ def fly(
     warm_up: float = 0.0,
     charge_used: Any = 0.0,
     record_truth: bool = False,
+    record_clean: bool = False,
 ) -> Log:
     """Fly `duration` s from the start of the reference and return the log.
 
     dt [s]: sample time of controller and log. seed: an integer, or a sequence of B integers, which flies B vehicles at
     once, each with its own noise, reference and excitation. warm_up [s]: flown before the log begins (its time starts
     at zero all the same). charge_used [A s]: what the battery has given before. record_truth: add the true states as
-    columns `true.<state>`. Row k holds the measurement at t_k and the command held from t_k to t_k+1.
+    columns `true.<state>`; record_clean: add `clean.<column>`, what the sensors would have said without noise. Row k
+    holds the measurement at t_k and the command held from t_k to t_k+1.
     """
     single = isinstance(seed, int | np.integer)
     lead, rows = round(warm_up / dt), round(duration / dt)
@@ -86,6 +90,8 @@ def fly(
         u = command if single else np.column_stack([np.broadcast_to(c, (plant.batch or 1,)) for c in command])
         if k >= lead:
             row = plant.measure(u)
+            if record_clean:
+                row |= {CLEAN + name: value for name, value in plant.measure(u, noise=False).items() if name != "t"}
             if record_truth:
                 row |= {TRUTH + name: value for name, value in plant.states().items()}
             if not names:
@@ -108,13 +114,15 @@ def write_log(
     """Write a log as flight-log CSV: a header row, one row per sample, missing values as empty cells.
 
     drop: columns to leave out, a name or a prefix of numbered ones ("omega" drops omega1..n); truth: keep the
-    `true.` columns.
+    `true.` and `clean.` columns.
     """
     left_out = set(drop)
     names = [
         name
         for name in log
-        if not (name in left_out or name.rstrip("0123456789") in left_out or (name.startswith(TRUTH) and not truth))
+        if not (
+            name in left_out or name.rstrip("0123456789") in left_out or (name.startswith((TRUTH, CLEAN)) and not truth)
+        )
     ]
     for name in names:
         if log[name].ndim != 1:

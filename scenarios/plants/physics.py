@@ -82,6 +82,7 @@ class Physics:
         body.nu = nu
         body.nu_rate = nu_rate
         body.speed = [self.scale * n for n in nu]
+        body.speed_rate = [self.scale * n for n in nu_rate]
         body.voltage = voltage
         body.hidden = {effect.name: state[where] for effect, where in self._slices}
         wind = body.wind = body.airspeed = ZERO

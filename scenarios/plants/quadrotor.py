@@ -18,11 +18,13 @@ from scenarios.plants.actuators import Actuators
 from scenarios.plants.airframe import Airframe
 from scenarios.plants.battery import Battery
 from scenarios.plants.effects.base import PlantEffect, hooks
-from scenarios.plants.noise import ROTORS_MAX, Disturbance, Draws, ProcessNoise, SensorNoise, axes
+from scenarios.plants.memory import Memory
+from scenarios.plants.noise import COLUMNS, ROTORS_MAX, Disturbance, Draws, ProcessNoise, SensorNoise, axes
 from scenarios.plants.physics import CORE, Physics
 from scenarios.plants.vectors import (
     ZERO,
     Number,
+    Quaternion,
     Vector,
     add,
     apply,
@@ -31,6 +33,9 @@ from scenarios.plants.vectors import (
     normalised,
     quaternion_of,
 )
+
+DELAYED_SUBSTEP = 0.001
+"""Longest integration step [s] of a plant with late sensors, whose readings are linear inside a step."""
 
 STATES = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 
@@ -69,7 +74,10 @@ class Quadrotor:
         self.sensors = sensors or SensorNoise()
         self.process = process or ProcessNoise()
         self.sample_time = sample_time
-        self.substep = substep
+        self._pose_delay = float(sum(e.pose_delay() for e in self.effects))
+        self._imu_delay = float(sum(e.imu_delay() for e in self.effects))
+        self._late = max(self._pose_delay, self._imu_delay) > 0.0
+        self.substep = min(substep, DELAYED_SUBSTEP) if self._late else substep
         self.physics = Physics(airframe, self.effects)
         self._needs_speed_rate = any(e.needs_speed_rate for e in self.effects)
         self._gyro = hooks(self.effects, "gyro")
@@ -122,6 +130,9 @@ class Quadrotor:
         self._disturbance = Disturbance(self.process, self.sample_time)
         self._row = self._draws.row()
         self._disturbance.advance(self._row)
+        self._memory: Memory | None = None
+        if self._late:
+            self._memory = Memory(max(self._pose_delay, self._imu_delay), self._reading(self.time, *self._speeds_now()))
 
     def _spread(self, value: Number) -> Number:
         if self._batch is None:
@@ -193,37 +204,51 @@ class Quadrotor:
         sixth = h / 6.0
         new = [x + sixth * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4)]
         new[6:10] = normalised((new[6], new[7], new[8], new[9]))
+        first = self._reading(time, *at_begin) if self._memory is not None else []
         self._state = new
         act.nu = end
+        if self._memory is not None:
+            self._memory.keep(time, time + h, first, self._reading(time + h, *at_end))
 
-    def _speeds_now(self, u: Any | None) -> tuple[list[Number], list[Number]]:
-        """Rotor speeds and their targets just after the present instant, if the command u begins now."""
+    def _speeds_now(self, u: Any | None = None) -> tuple[list[Number], list[Number]]:
+        """Rotor speeds and their rates of change just after the present instant, if the command u begins now."""
         act = self._actuators
         if u is not None:
             act.hold(self.time, self._columns(u))
         target = act.steady(act.at(self.time), self.voltage)
-        return [act.start(n, s) for n, s in zip(act.nu, target)], target
+        nu = [act.start(n, s) for n, s in zip(act.nu, target)]
+        return nu, [act.speed_rate(n, s) for n, s in zip(nu, target)]
 
-    def measure(self, u: Any | None = None) -> dict[str, Number]:
-        """Noisy measurements at the present time by flight-log column; floats, or arrays (B,) for a batch.
-
-        u: the command that begins now, if already known (see the module's note on timing). Repeating the call gives
-        the same noise: it is drawn once per step.
-        """
-        physics, sensors, row, state = self.physics, self.sensors, self._row, self._state
-        nu, target = self._speeds_now(u)
-        act = self._actuators
-        disturbance = self._disturbance
-        nu_rate = [act.speed_rate(n, s) for n, s in zip(nu, target)]
+    def _reading(self, time: float, nu: list[Number], nu_rate: list[Number]) -> list[Number]:
+        """Undelayed noise-free gyro, specific force, attitude, position, velocity (16 values) at the present state."""
+        physics, disturbance = self.physics, self._disturbance
         body, specific, turning = physics.accelerations(
-            self.time, state, nu, nu_rate, self.voltage, disturbance.force, disturbance.torque
+            time, self._state, nu, nu_rate, self.voltage, disturbance.force, disturbance.torque
         )
-        gyro = body.rates
-        lever = add(cross(turning, physics.imu), cross(gyro, cross(gyro, physics.imu)))
-        felt = add(specific, lever)
-        attitude = body.attitude
+        felt = add(specific, add(cross(turning, physics.imu), cross(body.rates, cross(body.rates, physics.imu))))
         position = add(body.position, apply(body.rotation, physics.origin))
         velocity = add(body.velocity, apply(body.rotation, cross(body.rates, physics.origin)))
+        return [*body.rates, *felt, *body.attitude, *position, *velocity]
+
+    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Number]:
+        """Measurements at the present time by flight-log column; floats, or arrays (B,) for a batch.
+
+        u: the command that begins now, if already known (see the module's note on timing). Repeating the call gives
+        the same noise: it is drawn once per step. noise=False leaves it out; sensors keep their bias, scale and delay.
+        """
+        row = self._row if noise else [0.0] * COLUMNS
+        sensors, act = self.sensors, self._actuators
+        nu, nu_rate = self._speeds_now(u)
+        now = self._reading(self.time, nu, nu_rate)
+        imu = pose = now
+        if self._memory is not None:
+            imu = now if self._imu_delay == 0.0 else self._memory.at(self.time - self._imu_delay)
+            pose = now if self._pose_delay == 0.0 else self._memory.at(self.time - self._pose_delay)
+        gyro: Vector = (imu[0], imu[1], imu[2])
+        felt: Vector = (imu[3], imu[4], imu[5])
+        attitude: Quaternion = (pose[6], pose[7], pose[8], pose[9])
+        if pose is not now:
+            attitude = normalised(attitude)
         for hook in self._gyro:
             gyro = hook(gyro)
         for hook in self._accelerometer:
@@ -233,8 +258,8 @@ class Quadrotor:
         gyro = _noisy(gyro, sensors.gyro, row, 12)
         felt = _noisy(felt, sensors.accelerometer, row, 15)
         attitude = multiply(attitude, quaternion_of(_noisy(ZERO, sensors.attitude, row, 18)))
-        position = _noisy(position, sensors.position, row, 21)
-        velocity = _noisy(velocity, sensors.velocity, row, 24)
+        position = _noisy((pose[10], pose[11], pose[12]), sensors.position, row, 21)
+        velocity = _noisy((pose[13], pose[14], pose[15]), sensors.velocity, row, 24)
         out: dict[str, Number] = {"t": self.time}
         out |= {f"u{i}": v for i, v in enumerate(act._history[-1][1], 1)}
         if self.battery is not None:
@@ -242,7 +267,7 @@ class Quadrotor:
         out |= dict(zip(("qw", "qx", "qy", "qz"), attitude))
         out |= dict(zip(("p", "q", "r", "ax", "ay", "az"), (*gyro, *felt)))
         out |= dict(zip(("x", "y", "z", "vx", "vy", "vz"), (*position, *velocity)))
-        out |= {f"omega{i}": physics.scale * n + sensors.rotor_speed * row[27 + i] for i, n in enumerate(nu, 1)}
+        out |= {f"omega{i}": self.physics.scale * n + sensors.rotor_speed * row[27 + i] for i, n in enumerate(nu, 1)}
         return out
 
     def states(self) -> dict[str, Number]:

@@ -18,7 +18,7 @@ class Body:
 
     time [s]; position and velocity of the centre of mass, world [m, m/s]; attitude quaternion and its rotation matrix,
     body to world; rates, body [rad/s]; airspeed of the centre of mass, body [m/s]; wind, world [m/s]; nu and nu_rate
-    per rotor [-, 1/s]; speed per rotor [rad/s]; voltage [V]; hidden states of effects by effect name.
+    per rotor [-, 1/s]; speed and speed_rate per rotor [rad/s, rad/s^2]; voltage [V]; hidden states by effect name.
     """
 
     __slots__ = (
@@ -31,6 +31,7 @@ class Body:
         "rates",
         "rotation",
         "speed",
+        "speed_rate",
         "time",
         "velocity",
         "voltage",
@@ -48,6 +49,7 @@ class Body:
     nu: list[Number]
     nu_rate: list[Number]
     speed: list[Number]
+    speed_rate: list[Number]
     voltage: Number
     hidden: dict[str, list[Number]]
 
@@ -94,7 +96,7 @@ class PlantEffect:
     """Number of hidden states that the effect brings."""
 
     needs_speed_rate: ClassVar[bool] = False
-    """Whether the effect reads `Body.nu_rate`, which is not filled otherwise."""
+    """Whether the effect reads `Body.nu_rate` or `Body.speed_rate`, which are not filled otherwise."""
 
     def parameters(self) -> dict[str, Number]:
         """Parameter values by canonical name, `effect.parameter`."""
@@ -169,6 +171,14 @@ class PlantEffect:
         return []
 
     # sensors
+    def pose_delay(self) -> float:
+        """Delay of attitude, position and velocity [s]."""
+        return 0.0
+
+    def imu_delay(self) -> float:
+        """Delay of gyro and accelerometer [s]."""
+        return 0.0
+
     def imu_shift(self) -> Vector:
         """Shift of the IMU from where the airframe says it is, body [m]."""
         return ZERO
