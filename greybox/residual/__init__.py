@@ -1,0 +1,1 @@
+"""What the physics leaves over: residuals to learn, the Gaussian process that learns them, and hybrid models."""

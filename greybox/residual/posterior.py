@@ -1,0 +1,416 @@
+"""GPPosterior: a trained Gaussian process as plain numbers (float64), with its predictions as CasADi expressions.
+
+One independent process per output; all share the support points. Without PyTorch. For output j and an input z,
+
+    x = (z - input_mean)/input_scale,   k = k_j(support, x)
+    mean_j     = output_mean_j + output_scale_j weights_j'k
+    variance_j = output_scale_j^2 (max(k_j(x, x) - |L1_j k|^2, 0) + |L2_j k|^2)        [+ noise_j]
+
+which covers the exact posterior (L2 = 0), SGPR and SVGP (greybox/residual/sparse.py). The Jacobians are written out
+analytically: from dk_i/dx = 2 g_i (x - b_i)/lengthscale^2 both are matrix-vector products with one `exp` over the support.
+In MX the vectors stay vectors, which is the fast form inside optimisers; SX gives scalars, and numbers give numbers.
+
+On disk: `<name>.json` (schema "greybox.gp/1", all but the large arrays, with a checksum) and `<name>.npz` beside it.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.files import checksum, read_json, write_atomic, write_json
+from greybox.residual.kernels import Kernel
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
+
+SCHEMA = "greybox.gp/1"
+METHODS = ("exact", "sgpr", "svgp")
+QUANTITIES = ("mean", "variance", "mean_jacobian", "variance_jacobian", "distance")
+_VECTORS = ("input_mean", "input_scale", "output_mean", "output_scale", "noise")
+_ARRAYS = ("support", "weights", "explained", "uncertain")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Domain:
+    """Where the training inputs lie: lower and upper (n_in,) in the inputs' units, and the 50, 95, 99 and 100 % quantiles
+    of `GPPosterior.distance` over them (they say which distance is usual inside the domain)."""
+
+    lower: FloatArray
+    upper: FloatArray
+    distance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    samples: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lower", _frozen(self.lower))
+        object.__setattr__(self, "upper", _frozen(self.upper))
+        object.__setattr__(self, "distance", tuple(float(v) for v in self.distance))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GPPosterior:
+    """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support points.
+
+    `kernels` one per output (outputs that share a kernel share its evaluation). `support` (M, n_in) and the kernels are in
+    standardised inputs, `weights` (M, n_out), `explained` and `uncertain` (n_out, M, M; lower triangular L1 and L2) in
+    standardised outputs. `output_mean` (n_out,) includes the prior mean and is what the mean returns to far from the data.
+    `noise` (n_out,) is the noise variance of a new sample in output units squared, `group_noise` the same of each known
+    group (flight). `noise_inflation` (n_out,) and `jitter` (n_out,) say how the numbers were made. An output whose weights
+    are all zero carries no information: its mean is constant and its variance the prior's. Raises `ModelError`.
+    """
+
+    inputs: Layout
+    outputs: Layout
+    method: str
+    kernels: tuple[Kernel, ...]
+    input_mean: FloatArray
+    input_scale: FloatArray
+    output_mean: FloatArray
+    output_scale: FloatArray
+    support: FloatArray
+    weights: FloatArray
+    explained: FloatArray
+    uncertain: FloatArray
+    noise: FloatArray
+    domain: Domain
+    group_noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    noise_inflation: tuple[float, ...] = ()
+    jitter: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (*_VECTORS, *_ARRAYS):
+            object.__setattr__(self, name, _frozen(getattr(self, name)))
+        object.__setattr__(self, "group_noise", MappingProxyType({k: _frozen(v) for k, v in self.group_noise.items()}))
+        object.__setattr__(self, "kernels", tuple(self.kernels))
+        n_in, n_out = len(self.inputs), len(self.outputs)
+        for name in ("noise_inflation", "jitter"):
+            default = 1.0 if name == "noise_inflation" else 0.0
+            given = tuple(float(v) for v in getattr(self, name)) or (default,) * n_out
+            object.__setattr__(self, name, given)
+        m = len(self.support)
+        shapes = {
+            "input_mean": (n_in,), "input_scale": (n_in,), "output_mean": (n_out,), "output_scale": (n_out,),
+            "noise": (n_out,), "support": (m, n_in), "weights": (m, n_out), "explained": (n_out, m, m),
+            "uncertain": (n_out, m, m),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ModelError(f"GPPosterior.{name} has shape {value.shape}", expected=f"{shape}")
+            if not np.isfinite(value).all():
+                raise ModelError(f"GPPosterior.{name} is not finite")
+        if self.method not in METHODS:
+            raise UnknownNameError("GP method", self.method, METHODS)
+        if len(self.kernels) != n_out or any(len(k.lengthscales) != n_in for k in self.kernels):
+            raise ModelError("GPPosterior.kernels do not fit the layouts", expected=f"{n_out} kernels of {n_in} inputs")
+        if not (self.input_scale > 0).all() or not (self.output_scale > 0).all() or not (self.noise >= 0).all():
+            raise ModelError("GPPosterior: scales must be positive and noise variances not negative")
+
+    # ------------------------------------------------------------------------------------------- predictions
+
+    @property
+    def points(self) -> int:
+        """M, the number of support points."""
+        return len(self.support)
+
+    @property
+    def active(self) -> tuple[bool, ...]:
+        """Per output: whether the data say anything about it (else its mean is constant)."""
+        return tuple(bool(v) for v in np.any(self.weights != 0.0, axis=0))
+
+    @property
+    def support_points(self) -> FloatArray:
+        """The support points in the inputs' units, (M, n_in)."""
+        return self.support * self.input_scale + self.input_mean
+
+    def mean(self, z: Expr) -> Expr:
+        """Posterior mean (n_out, 1) in output units at z (n_in, 1), for SX, MX, DM or plain numbers."""
+        return self.expressions(z, ("mean",))["mean"]
+
+    def variance(self, z: Expr, noise: bool | str = False) -> Expr:
+        """Variance (n_out, 1) in output units squared: of the function; with `noise` of a new measured sample.
+
+        `noise` may also be the name of a group (flight) whose own noise level counts. Never negative.
+        """
+        return self.expressions(z, ("variance",), noise=noise)["variance"]
+
+    def mean_jacobian(self, z: Expr) -> Expr:
+        """d mean/dz (n_out, n_in), analytic."""
+        return self.expressions(z, ("mean_jacobian",))["mean_jacobian"]
+
+    def variance_jacobian(self, z: Expr) -> Expr:
+        """d variance/dz (n_out, n_in), analytic; the noise is constant and does not count."""
+        return self.expressions(z, ("variance_jacobian",))["variance_jacobian"]
+
+    def distance(self, z: Expr) -> Expr:
+        """How far z is from the training data, a scalar in [0, 1]: the largest of `distances` over the active outputs.
+
+        0 where the support points determine the function, 1 where they say nothing. `domain.distance` holds its quantiles
+        over the training inputs. A GP without active outputs knows no domain: 1 everywhere.
+        """
+        return self.expressions(z, ("distance",))["distance"]
+
+    def distances(self, z: Expr) -> Expr:
+        """Per output (n_out, 1) the share of the prior variance that the support points leave unexplained,
+        1 - |L1 k(x)|^2/k(x, x): the conditional variance in which Burt, Rasmussen and van der Wilk (JMLR 21, 2020) place
+        inducing points, over the prior's. 1 for outputs that are not active."""
+        return self.expressions(z, ("distances",))["distances"]
+
+    def expressions(self, z: Expr, which: Iterable[str], *, noise: bool | str = False) -> dict[str, Expr]:
+        """Several quantities (of `QUANTITIES`, and "distances") of one z, sharing all common work."""
+        wanted = set(which)
+        for name in wanted - {*QUANTITIES, "distances"}:
+            raise UnknownNameError("GP quantity", name, (*QUANTITIES, "distances"))
+        if not isinstance(z, (ca.SX, ca.MX, ca.DM)):
+            z = ca.DM(np.asarray(z, dtype=np.float64))
+        n_in = len(self.inputs)
+        if z.numel() != n_in:
+            raise ModelError("the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel()))
+        x = (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
+        rows: dict[str, list[Expr]] = {name: [] for name in ("mean", "variance", "jm", "jv", "distances")}
+        shared: dict[int, tuple[Expr, Expr]] = {}
+        for j, kernel in enumerate(self.kernels):
+            if self.active[j] and id(kernel) not in shared:
+                shared[id(kernel)] = kernel.covariance_and_slope(self.support.T, x, ca)
+            parts = self._output(j, x, shared.get(id(kernel)), wanted)
+            for name, value in parts.items():
+                rows[name].append(value)
+        out: dict[str, Expr] = {}
+        if "mean" in wanted:
+            out["mean"] = self.output_mean + self.output_scale * ca.vertcat(*rows["mean"])
+        if "variance" in wanted:
+            out["variance"] = self.output_scale**2 * ca.vertcat(*rows["variance"]) + self.noise_variance(noise)
+        # Rows are per output (scale from the left), columns per input (scale from the right).
+        if "mean_jacobian" in wanted:
+            out["mean_jacobian"] = (self.output_scale[:, None] / self.input_scale) * ca.vertcat(*rows["jm"])
+        if "variance_jacobian" in wanted:
+            out["variance_jacobian"] = (self.output_scale[:, None] ** 2 / self.input_scale) * ca.vertcat(*rows["jv"])
+        if wanted & {"distance", "distances"}:
+            if "distances" in wanted:
+                out["distances"] = ca.vertcat(*rows["distances"])
+            if "distance" in wanted:
+                active = [j for j, is_active in enumerate(self.active) if is_active]
+                out["distance"] = ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active))) if active else ca.DM(1.0)
+        return out
+
+    def _output(self, j: int, x: Expr, covariance: tuple[Expr, Expr] | None, wanted: set[str]) -> dict[str, Expr]:
+        """Standardised quantities of output j at the standardised column x."""
+        kernel = self.kernels[j]
+        prior = kernel.prior_variance(x, ca)
+        out: dict[str, Expr] = {}
+        need_variance = wanted & {"variance", "variance_jacobian", "distance", "distances"}
+        if covariance is None:
+            out["mean"], out["variance"], out["distances"] = ca.DM(0.0), prior, ca.DM(1.0)
+            out["jm"] = out["jv"] = ca.DM.zeros(1, len(self.inputs))
+            if "variance_jacobian" in wanted:
+                out["jv"] = kernel.prior_variance_slope(x)
+            return out
+        k, g = covariance
+        support, weights = self.support.T, ca.DM(self.weights[:, j])
+        if "mean" in wanted:
+            out["mean"] = ca.dot(weights, k)
+        if "mean_jacobian" in wanted:
+            out["jm"] = kernel.contract(support, x, g, weights)
+        if need_variance:
+            first = ca.sparsify(ca.DM(self.explained[j]))
+            explained = first @ k
+            conditional = prior - ca.sumsqr(explained)
+            if wanted & {"distance", "distances"}:
+                out["distances"] = ca.fmax(conditional, 0.0) / prior
+            second = ca.sparsify(ca.DM(self.uncertain[j]))
+            uncertain = second @ k
+            if "variance" in wanted:
+                out["variance"] = ca.fmax(conditional, 0.0) + ca.sumsqr(uncertain)
+            if "variance_jacobian" in wanted:
+                cut = conditional > 0.0
+                slope = kernel.contract(support, x, g, second.T @ uncertain - cut * (first.T @ explained))
+                out["jv"] = 2.0 * slope + cut * kernel.prior_variance_slope(x)
+        return out
+
+    def noise_variance(self, noise: bool | str = True) -> FloatArray:
+        """(n_out,) in output units squared: zero for False, that of a new sample for True, or of the named group."""
+        if noise is False:
+            return np.zeros(len(self.outputs))
+        if noise is True:
+            return self.noise
+        if noise not in self.group_noise:
+            raise UnknownNameError("group of the GP's noise", str(noise), self.group_noise)
+        return self.group_noise[noise]
+
+    def function(
+        self,
+        name: str = "gp",
+        which: Iterable[str] = ("mean", "variance"),
+        *,
+        noise: bool | str = False,
+        symbol: Any = ca.MX,
+    ) -> Any:
+        """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is casadi.MX or casadi.SX."""
+        names = list(which)
+        z = symbol.sym("z", len(self.inputs))
+        values = self.expressions(z, names, noise=noise)
+        return ca.Function(name, [z], [ca.densify(values[n]) for n in names], ["z"], names)
+
+    @cached_property
+    def _moments(self) -> Any:
+        z = ca.MX.sym("z", len(self.inputs))
+        values = self.expressions(z, ("mean", "variance"))
+        return ca.Function("moments", [z], [ca.densify(ca.vertcat(values["mean"], values["variance"]))])
+
+    @cached_property
+    def _distance(self) -> Any:
+        return self.function("distance", ("distance",))
+
+    @cached_property
+    def _mean(self) -> Any:
+        return self.function("mean", ("mean",))
+
+    def evaluate(self, z: npt.ArrayLike, *, noise: bool | str = False) -> tuple[FloatArray, FloatArray]:
+        """(mean, variance), each (N, n_out), at the rows of z (N, n_in): the expressions above over many samples."""
+        both = evaluate(self._moments, self._rows(z))
+        n = len(self.outputs)
+        return both[:, :n].copy(), both[:, n:] + self.noise_variance(noise)
+
+    def evaluate_mean(self, z: npt.ArrayLike) -> FloatArray:
+        """The mean alone, (N, n_out), at the rows of z (N, n_in); about ten times cheaper than `evaluate`."""
+        return evaluate(self._mean, self._rows(z))
+
+    def evaluate_distance(self, z: npt.ArrayLike) -> FloatArray:
+        """`distance` (N,) at the rows of z (N, n_in)."""
+        return evaluate(self._distance, self._rows(z))[:, 0]
+
+    def _rows(self, z: npt.ArrayLike) -> FloatArray:
+        rows = np.ascontiguousarray(z, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
+            raise ModelError(
+                "the GP's inputs have the wrong shape", expected=f"(N, {len(self.inputs)})", got=str(rows.shape)
+            )
+        return rows
+
+    # ---------------------------------------------------------------------------------------------------- files
+
+    def parts(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+        """(plain JSON values, arrays by name): the triangular factors are packed, kernels that are shared are one."""
+        unique: list[Kernel] = []
+        for kernel in self.kernels:
+            if not any(kernel is u for u in unique):
+                unique.append(kernel)
+        places = [next(i for i, u in enumerate(unique) if u is kernel) for kernel in self.kernels]
+        lower = np.tril_indices(self.points)
+        arrays = {
+            "support": self.support,
+            "weights": self.weights,
+            "explained": self.explained[:, lower[0], lower[1]],
+            "uncertain": self.uncertain[:, lower[0], lower[1]],
+        }
+        plain = {
+            "inputs": [vars(s) for s in self.inputs],
+            "outputs": [vars(s) for s in self.outputs],
+            "method": self.method,
+            "points": self.points,
+            "kernels": [k.to_dict() for k in unique],
+            "kernel_of_output": places,
+            **{name: getattr(self, name).tolist() for name in _VECTORS},
+            "group_noise": {k: v.tolist() for k, v in self.group_noise.items()},
+            "noise_inflation": list(self.noise_inflation),
+            "jitter": list(self.jitter),
+            "domain": {
+                "lower": self.domain.lower.tolist(),
+                "upper": self.domain.upper.tolist(),
+                "distance": list(self.domain.distance),
+                "samples": self.domain.samples,
+            },
+        }
+        return plain, arrays
+
+    @classmethod
+    def from_parts(cls, plain: Mapping[str, Any], arrays: Mapping[str, npt.ArrayLike]) -> GPPosterior:
+        """Inverse of `parts`. Raises `FileFormatError` where something is missing or does not fit."""
+        try:
+            kernels = [Kernel.from_dict(k) for k in plain["kernels"]]
+            m = int(plain["points"])
+            n_out = len(plain["outputs"])
+            lower = np.tril_indices(m)
+            values: dict[str, Any] = {"support": arrays["support"], "weights": arrays["weights"]}
+            for name in ("explained", "uncertain"):
+                packed = np.asarray(arrays[name], dtype=np.float64)
+                full = np.zeros((n_out, m, m))
+                full[:, lower[0], lower[1]] = packed.reshape(n_out, lower[0].size)
+                values[name] = full
+            return cls(
+                inputs=Layout([Signal(**s) for s in plain["inputs"]]),
+                outputs=Layout([Signal(**s) for s in plain["outputs"]]),
+                method=plain["method"],
+                kernels=tuple(kernels[i] for i in plain["kernel_of_output"]),
+                group_noise=plain["group_noise"],
+                noise_inflation=tuple(plain["noise_inflation"]),
+                jitter=tuple(plain["jitter"]),
+                domain=Domain(**plain["domain"]),
+                **{name: plain[name] for name in _VECTORS},
+                **values,
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FileFormatError(f"not a GP posterior: {error!r}", fix="pass what greybox wrote") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON values, large arrays included (packed, row by row)."""
+        plain, arrays = self.parts()
+        return {"schema": SCHEMA, **plain, "arrays": {k: v.tolist() for k, v in arrays.items()}}
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> GPPosterior:
+        """Inverse of `to_dict`, bit by bit. Raises `FileFormatError`."""
+        if value.get("schema") != SCHEMA:
+            raise FileFormatError("wrong schema", expected=SCHEMA, got=repr(value.get("schema")))
+        return cls.from_parts(value, value.get("arrays", {}))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write `path` (JSON) and the arrays beside it (same stem, .npz), each atomically. Returns the path."""
+        target = Path(path)
+        plain, arrays = self.parts()
+        body = {"schema": SCHEMA, **plain, "arrays": target.with_suffix(".npz").name, "arrays_sha256": _digest(arrays)}
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)  # type: ignore[arg-type]
+        write_atomic(target.with_suffix(".npz"), buffer.getvalue())
+        return write_json(target, {**body, "checksum": checksum(body)})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> GPPosterior:
+        """Read what `save` wrote. Raises `FileFormatError` (schema, checksum, missing or foreign array file)."""
+        where = str(path)
+        body = read_json(path, schema=SCHEMA)
+        if body.pop("checksum", None) != checksum(body):
+            raise FileFormatError("the checksum does not match", where=where, fix="the file was edited or is damaged")
+        beside = Path(path).parent / Path(str(body.get("arrays"))).name
+        try:
+            with np.load(beside, allow_pickle=False) as stored:
+                arrays = {name: np.asarray(stored[name], dtype=np.float64) for name in _ARRAYS}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise FileFormatError(
+                f"cannot read the arrays ({error})", where=str(beside), fix="keep the .npz beside its .json"
+            ) from None
+        if _digest(arrays) != body.get("arrays_sha256"):
+            raise FileFormatError(
+                "these are not the arrays of that file", where=str(beside), fix="copy both files together"
+            )
+        return cls.from_parts(body, arrays)
+
+
+def _digest(arrays: Mapping[str, FloatArray]) -> str:
+    return checksum({name: np.ascontiguousarray(a).tobytes().hex() for name, a in arrays.items()})
+
+
+def _frozen(values: npt.ArrayLike) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
