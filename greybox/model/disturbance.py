@@ -100,14 +100,19 @@ class Disturbed:
     def _p(self, p: Expr) -> Expr:
         return p[: len(self.inner.parameters)]
 
-    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Inner derivative without the disturbance's push, and -d/T."""
-        xi, d = self._parts(x)
-        return ca.vertcat(self.inner.f(t, xi, u, self._p(p)), -d / self._times(p))
+    def _pushed(self, d: Expr, w: Expr) -> Expr:
+        n = len(self.inner.noises)
+        return self._spread @ d if w is None else w[:n] + self._spread @ d
 
-    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Inner outputs."""
-        return self.inner.h(t, self._parts(x)[0], u, self._p(p))
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Inner derivative under the disturbance's push, and -d/T."""
+        xi, d = self._parts(x)
+        return ca.vertcat(self.inner.f(t, xi, u, self._p(p), self._pushed(d, w)), -d / self._times(p))
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Inner outputs; the disturbance force reaches the accelerometer."""
+        xi, d = self._parts(x)
+        return self.inner.h(t, xi, u, self._p(p), self._pushed(d, w))
 
     def _times(self, p: Expr) -> Expr:
         n = len(self.inner.parameters)
@@ -118,14 +123,13 @@ class Disturbed:
         """The disturbance is held over the step and added to the white noise of its channel."""
         xi, d = self._parts(x)
         n = len(self.inner.noises)
-        after = self.inner.step(t, xi, window, self._p(p), w[:n] + self._spread @ d, dt)
+        after = self.inner.step(t, xi, window, self._p(p), self._pushed(d, w), dt)
         return ca.vertcat(after, ca.exp(-dt / self._times(p)) * d + w[n:])
 
     def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """Outputs see the disturbance as they see the white noise of its channel."""
         xi, d = self._parts(x)
-        n = len(self.inner.noises)
-        return self.inner.output(t, xi, window, self._p(p), w[:n] + self._spread @ d, dt)
+        return self.inner.output(t, xi, window, self._p(p), self._pushed(d, w), dt)
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """As the inner model."""

@@ -66,11 +66,14 @@ class Dynamics(Protocol):
     def window(self) -> tuple[int, int]:
         """(past, future): how many earlier and later commands a step looks at, in samples."""
 
-    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """dx/dt [state unit / s], n_x, at the command u (n_u; a command delay is not part of f)."""
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """dx/dt [state unit / s], n_x, at the command u (n_u; a command delay is not part of f).
 
-    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Noise-free outputs y, n_y, at the command u."""
+        w (n_w), where given, pushes through the channels of the process noise. Discrete models give the next state.
+        """
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Outputs y, n_y, at the command u, without sensor noise; w as in `f`."""
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """State one sample later, n_x, for the command window (n_u x (past + 1 + future)) and process noise w."""
@@ -167,28 +170,32 @@ class StateSpaceModel:
         """No delay: the step looks at u_k alone."""
         return (0, 0)
 
-    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """dx/dt (or the next state of a discrete model)."""
-        return ca.vertcat(*ca.vertsplit(ca.vcat(_flat(self.dynamics(t, x, u, self._named(p))))))  # type: ignore[operator]
-
-    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Noise-free outputs."""
-        return ca.vertcat(*ca.vertsplit(ca.vcat(_flat(self.measurement(t, x, u, self._named(p))))))  # type: ignore[operator]
-
-    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """Classical Runge-Kutta 4 with the command held (`substeps` per sample), or the discrete map plus w."""
+    def _spread(self) -> Expr:
         rows = [self.states[n] for n in self.noises.names]
         spread = ca.DM(len(self.states), len(rows))
         for j, i in enumerate(rows):
             spread[i, j] = 1.0
+        return spread
+
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """dx/dt (or the next state of a discrete model)."""
+        d = ca.vertcat(*ca.vertsplit(ca.vcat(_flat(self.dynamics(t, x, u, self._named(p))))))  # type: ignore[operator]
+        return d if w is None else d + self._spread() @ w
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Noise-free outputs, which do not see w."""
+        return ca.vertcat(*ca.vertsplit(ca.vcat(_flat(self.measurement(t, x, u, self._named(p))))))  # type: ignore[operator]
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Classical Runge-Kutta 4 with the command held (`substeps` per sample), or the discrete map plus w."""
         if self.discrete:
-            return self.f(t, x, window, p) + spread @ w
+            return self.f(t, x, window, p, w)
         h = dt / self.substeps
         for _ in range(self.substeps):
-            k1 = self.f(t, x, window, p) + spread @ w
-            k2 = self.f(t, x + h / 2 * k1, window, p) + spread @ w
-            k3 = self.f(t, x + h / 2 * k2, window, p) + spread @ w
-            k4 = self.f(t, x + h * k3, window, p) + spread @ w
+            k1 = self.f(t, x, window, p, w)
+            k2 = self.f(t, x + h / 2 * k1, window, p, w)
+            k3 = self.f(t, x + h / 2 * k2, window, p, w)
+            k4 = self.f(t, x + h * k3, window, p, w)
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return x
 

@@ -130,23 +130,25 @@ class LinearModel:
             first += count
         return out
 
-    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """The next state (the model is discrete) at the command u (m,), without noise and without delay."""
-        a, b, _, _, _ = self._unpacked(p)
-        return a @ x + b @ (u - self.input_offset)
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """The next state (the model is discrete) at the command u (m,) and innovation w, without delay."""
+        a, b, _, _, k = self._unpacked(p)
+        after = a @ x + b @ (u - self.input_offset)
+        return after if w is None else after + k @ w
 
-    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Outputs (p,) without noise at the command u."""
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Outputs (p,) at the command u and innovation w."""
         _, _, c, d, _ = self._unpacked(p)
-        return c @ x + d @ (u - self.input_offset) + self.output_offset
+        y = c @ x + d @ (u - self.input_offset) + self.output_offset
+        return y if w is None else y + w
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """Next state with innovation w; `dt` is the sample time of the model and is not used."""
-        return self.f(t, x, self._delayed(window), p) + self._unpacked(p)[4] @ w
+        return self.f(t, x, self._delayed(window), p, w)
 
     def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """Outputs with innovation w."""
-        return self.h(t, x, self._delayed(window), p) + w
+        return self.h(t, x, self._delayed(window), p, w)
 
     def _delayed(self, window: Expr) -> Expr:
         past = self.window[0]

@@ -441,8 +441,8 @@ class PhysicsModel:
             "rate": alpha,
         }
 
-    def f(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """dx/dt at the command u (n_u)."""
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """dx/dt at the command u (n_u); w (n_w), where given, pushes as process noise does."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
@@ -450,12 +450,12 @@ class PhysicsModel:
             nu_rate = (steady - nu) / _positive(self._lag(values))
         else:
             nu, nu_rate = steady, steady * 0
-        d = self._derivative(blocks, nu, nu_rate, u, p, ca.DM.zeros(9))
+        d = self._derivative(blocks, nu, nu_rate, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
         return self._join(d, nu_rate)
 
-    def h(self, t: Expr, x: Expr, u: Expr, p: Expr) -> Expr:
-        """Noise-free outputs at the command u (n_u)."""
-        return self._outputs(x, u, p, ca.DM.zeros(9))
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
+        return self._outputs(x, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
     def _outputs(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
         blocks, nu = self._split(x)

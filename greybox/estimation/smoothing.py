@@ -1,0 +1,85 @@
+"""Fixed-interval smoothing with the identified stationary filter: states given the whole flight.
+
+Backward recursion of the adjoint (Bryson and Frazier 1963; in the form for correlated process and measurement noise
+de Jong 1989, JASA 84(408), eq. 2.8), with the linearisation at every predicted state:
+
+    r[k-1] = C' S^-1 e[k] + (A - K C)' r[k],          d_s[k] = P r[k-1]
+    N[k-1] = C' S^-1 C + (A - K C)' N[k] (A - K C),   V[k] = P - P N[k-1] P
+
+d_s is the correction of the predicted state in its error coordinates, V its covariance. P is the stationary covariance of
+the filter, so that V is that of the stationary problem: near the ends of a flight and in gaps it is too small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import FitError
+from greybox.estimation.engine import Engine
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.symbolic import FloatArray, evaluate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Smoothed:
+    """States (n, n_x) given all samples of the segment, variance (n, n_d) of their error state, and what was filtered."""
+
+    filtered: Filtered
+    states: FloatArray
+    variance: FloatArray
+
+
+def transitions(
+    engine: Engine, states: FloatArray, rows: npt.NDArray[np.int_], inputs: FloatArray, p: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray]:
+    """(A (m, n_d, n_d), C (m, n_e, n_d)) of one step from each of `states` (m, n_x) at the record's `rows` (m,).
+
+    C is the derivative of the predicted outputs in innovation coordinates. Raises `FitError` for a step that is not
+    finite.
+    """
+    m, nd = len(states), engine.nd
+    one = np.ones(m, dtype=np.int32)
+    n = len(inputs) - engine.past - engine.future
+    na = len(engine.active)
+    start = np.zeros((m, nd, na + nd))
+    start[:, :, na:] = np.eye(nd)
+    found = engine.windows(
+        starts=states, rows=rows, lengths=one, tails=one, inputs=inputs, outputs=np.zeros((n, engine.ny)),
+        mask=np.ones((n, engine.ne)), p=p, dt=dt, s0=start,
+    )  # fmt: skip
+    if found.failed_in is not None or found.end_sensitivity is None or found.sensitivity is None:
+        raise FitError("the linearisation along the flight is not finite")
+    return found.end_sensitivity[:, :, na:], -found.sensitivity[:, :, na:]
+
+
+def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
+    """Smooth one segment that `runner` has filtered. Raises `FitError` where the linearisation is not finite."""
+    record, engine = filtered.record, runner.engine
+    n, nd = record.n, engine.nd
+    a, c = transitions(engine, filtered.states, np.arange(n), record.inputs, filtered.p, record.dt)
+    parts = [runner.riccati.gain(m) for m in record.patterns]
+    gains = np.array([v[0] for v in parts])
+    weights = np.array([np.linalg.inv(v[1]) for v in parts])
+    there = record.patterns != 0
+    p = filtered.state_covariance
+    r, info = np.zeros(nd), np.zeros((nd, nd))
+    moved, variance = np.zeros((n, nd)), np.zeros((n, nd))
+    for k in range(n - 1, -1, -1):
+        g = record.pattern[k]
+        seen = c[k] * there[g][:, None]
+        closed = a[k] - gains[g] @ seen
+        weighted = seen.T @ weights[g]
+        r = weighted @ filtered.innovations[k] + closed.T @ r
+        info = weighted @ seen + closed.T @ info @ closed
+        moved[k] = p @ r
+        variance[k] = np.diag(p) - np.einsum("ij,jk,ki->i", p, info, p, optimize=True)
+    x, d = ca.SX.sym("x", engine.nx), ca.SX.sym("d", nd)
+    chart = ca.Function("moved", [x, d], [ca.densify(engine.dynamics.boxplus(x, d))])
+    floor = 1e-6 * np.diag(p)
+    return Smoothed(
+        filtered=filtered, states=evaluate(chart, filtered.states, moved), variance=np.maximum(variance, floor)
+    )
