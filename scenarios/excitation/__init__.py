@@ -2,12 +2,16 @@
 
 from scenarios.excitation.chirp import Chirp
 from scenarios.excitation.circle import Circle
+from scenarios.excitation.combine import Total, Windowed
 from scenarios.excitation.doublets import Doublets
 from scenarios.excitation.figure_eight import FigureEight
 from scenarios.excitation.hover import Hover
 from scenarios.excitation.injection import Excitation, rich_excitation
 from scenarios.excitation.lemniscate import Lemniscate
+from scenarios.excitation.multichirp import Multichirp
 from scenarios.excitation.multisine import Multisine
+from scenarios.excitation.random_steps import RandomSteps
+from scenarios.excitation.rotor_forces import RotorForces
 from scenarios.excitation.signal import Signal
 from scenarios.excitation.three_two_one_one import ThreeTwoOneOne
 from scenarios.excitation.trajectory import Reference, Trajectory
@@ -21,11 +25,16 @@ __all__ = [
     "FigureEight",
     "Hover",
     "Lemniscate",
+    "Multichirp",
     "Multisine",
+    "RandomSteps",
     "RandomWaypoints",
     "Reference",
+    "RotorForces",
     "Signal",
     "ThreeTwoOneOne",
+    "Total",
     "Trajectory",
+    "Windowed",
     "rich_excitation",
 ]

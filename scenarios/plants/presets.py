@@ -11,7 +11,20 @@ from collections.abc import Sequence
 from scenarios.plants.airframe import Airframe, plus_layout, x_layout
 from scenarios.plants.battery import Battery
 from scenarios.plants.controller import CascadeController, Gains
-from scenarios.plants.effects import PlantEffect
+from scenarios.plants.effects import (
+    AccelerometerBias,
+    AccelerometerScale,
+    BatterySag,
+    BladeFlapping,
+    GroundEffect,
+    GyroBias,
+    GyroScale,
+    MotorLag,
+    PlantEffect,
+    ProductsOfInertia,
+    RotorDrag,
+    ThrustCurve,
+)
 from scenarios.plants.noise import ProcessNoise, SensorNoise
 from scenarios.plants.quadrotor import Quadrotor
 
@@ -55,6 +68,26 @@ NANO_SENSORS = SensorNoise(
 LARGE_SENSORS = SensorNoise(
     gyro=0.01, accelerometer=0.1, attitude=0.003, position=0.003, velocity=0.02, voltage=0.005, rotor_speed=3.0
 )
+MEMS = SensorNoise(
+    gyro=0.01, accelerometer=0.05, attitude=0.003, position=0.003, velocity=0.02, voltage=0.005, rotor_speed=3.0
+)
+"""A small IMU on a soft mount; what a low-cost estimator makes of attitude and position."""
+CALM = ProcessNoise(force=0.002 * 0.9, torque=(0.01 * 8.0e-3, 0.01 * 8.5e-3, 0.01 * 1.45e-2))
+"""Still air for `DUCKIEDRONE`: 0.002 m/s^2 and 0.01 rad/s^2 per root hertz."""
+EVERYDAY: tuple[PlantEffect, ...] = (
+    ThrustCurve(f=0.35),
+    BatterySag(nominal_voltage=11.1, c_V=1.0),
+    MotorLag(tau=0.045),
+    GroundEffect(rotor_radius=0.0635, k=2.0),
+    RotorDrag(k_x=1.5e-4, k_y=1.8e-4),
+    BladeFlapping(k_flap=1e-5),
+    ProductsOfInertia(Jxy=8e-4, Jxz=6e-4, Jyz=-5e-4),
+    AccelerometerScale(s_x=0.02, s_y=-0.015, s_z=0.01),
+    AccelerometerBias(b_x=0.08, b_y=-0.05, b_z=0.1),
+    GyroScale(s_x=0.01, s_y=-0.01, s_z=0.015),
+    GyroBias(b_x=0.008, b_y=-0.005, b_z=0.004),
+)
+"""What a home-made `DUCKIEDRONE` has besides a rigid body: see scenarios.studies.paper_experiment."""
 
 DEFAULT = Gains()
 SOFT = Gains(position=2.0, velocity=2.4, position_integral=0.3, attitude=5.0, rate=12.0, rate_integral=6.0)

@@ -1,7 +1,7 @@
 """The figure of README.md: error against horizon on flights that the fit never saw, between floor and ceiling.
 
-    make demo
-    python -m scenarios.studies.readme_figure demo_out/validate.json docs/images/nanobench.svg
+make demo
+python -m scenarios.studies.readme_figure demo_out/validate.json docs/images/nanobench.svg
 """
 
 from __future__ import annotations

@@ -92,7 +92,9 @@ class Recovery:
         runs = self.estimates.shape[0]
         lines.append(f"{runs} runs, {self.failed} not converged")
         lines.append(f"pooled coverage of the 95 % intervals: {100 * self.pooled_coverage:.2f} %")
-        lines.append(f"smallest p-value x {len(self.names)} parameters: {p.min() * len(self.names):.3g} (0.001 rejects)")
+        lines.append(
+            f"smallest p-value x {len(self.names)} parameters: {p.min() * len(self.names):.3g} (0.001 rejects)"
+        )
         lines.append(f"mean normalised squared error: {mean:.4f}, 99 % band {low:.4f} .. {high:.4f}")
         return "\n".join(lines)
 
@@ -137,7 +139,9 @@ def recover(runs: int, *, seconds: float = 20.0, first_seed: int = 1000, workers
                     warm_up=1.0,
                 )  # fmt: skip
                 jobs = [
-                    pool.submit(_fit_one, vehicle, {k: v for k, v in member(log, i).items() if not k.startswith("omega")})
+                    pool.submit(
+                        _fit_one, vehicle, {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
+                    )
                     for i in range(len(seeds))
                 ]
                 rows += [job.result() for job in jobs]

@@ -13,11 +13,18 @@ from scenarios.excitation import (
     FigureEight,
     Hover,
     Lemniscate,
+    Multichirp,
     Multisine,
+    RandomSteps,
     RandomWaypoints,
+    RotorForces,
     ThreeTwoOneOne,
+    Total,
+    Windowed,
     rich_excitation,
 )
+from scenarios.plants.controller import CascadeController, Setpoint
+from scenarios.plants.presets import DUCKIEDRONE
 
 TIME = 0.01 * np.arange(4000)
 
@@ -104,3 +111,57 @@ def test_circle_turns_at_its_radius_and_period():
     path = Circle(radius=1.5, period=4.0, ramp=2.0).sample(TIME, rng())
     late = path.velocity[1000:-1]
     assert np.linalg.norm(late, axis=1) == pytest.approx(2 * np.pi * 1.5 / 4.0, rel=1e-3)
+
+
+def test_a_multichirp_excites_its_whole_band_at_all_times_and_nothing_else():
+    signal = Multichirp(rms=1.5, low=0.5, high=20.0, count=6, sweep=4.0)(TIME, rng(2))
+    assert np.sqrt(np.mean(signal**2)) == pytest.approx(1.5, rel=0.1)
+    frequency = np.fft.rfftfreq(800, 0.01)
+    for start in range(0, 4000, 800):
+        power = np.abs(np.fft.rfft(signal[start : start + 800] * np.hanning(800))) ** 2
+        bands = [power[(frequency >= low) & (frequency < high)].sum() for low, high in ((0.5, 2), (2, 7), (7, 21))]
+        assert min(bands) > 0.05 * power.sum()
+        assert power[frequency > 22.0].sum() < 0.01 * power.sum()
+
+
+def test_windows_switch_a_signal_on_and_off_and_totals_add_up():
+    steady = Windowed(signal=RandomSteps(amplitude=1.0), windows=((1.0, 2.0), (10.0, 1.0)), fade=0.0)(TIME, rng())
+    plain = RandomSteps(amplitude=1.0)(TIME, rng())
+    inside = ((TIME > 1.001) & (TIME < 2.999)) | ((TIME > 10.001) & (TIME < 10.999))
+    assert np.array_equal(steady[inside], plain[inside])
+    assert not steady[(TIME < 0.999) | ((TIME > 3.001) & (TIME < 9.999)) | (TIME > 11.001)].any()
+    wave = Multisine(rms=1.0, count=60)
+    size = [np.sqrt(np.mean(Total(signals=(wave, wave))(TIME, rng(s)) ** 2)) for s in range(8)]
+    assert np.mean(size) == pytest.approx(np.sqrt(2.0), rel=0.1), "two independent draws, not one twice"
+
+
+def test_random_steps_hold_their_levels_as_long_as_they_promise():
+    signal = RandomSteps(amplitude=0.7, shortest=0.5, longest=1.0)(TIME, rng(4))
+    lengths = np.diff(np.flatnonzero(np.diff(signal)))
+    assert lengths.min() >= 49
+    assert lengths.max() <= 101
+    assert np.max(np.abs(signal)) <= 0.7
+
+
+def test_thrust_added_to_one_rotor_reaches_that_rotor_alone():
+    """Through the controller's mixer, which knows wrenches only."""
+
+    def push(time, _):
+        return np.full_like(time, 0.3)
+
+    def still(time, _):
+        return np.zeros_like(time)
+
+    design = RotorForces(airframe=DUCKIEDRONE, rotors=(still, push, still, still))
+    mixer, _ = design.sample(TIME[:2], rng())
+    level = {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "z": 1.0} | dict.fromkeys(
+        ("x", "y", "vx", "vy", "vz", *"pqr"), 0.0
+    )
+    goal = Setpoint(position=(0.0, 0.0, 1.0))
+    thrusts = []
+    for inject in ((0.0,) * 4, tuple(mixer[0])):
+        u = CascadeController(DUCKIEDRONE)(level, goal, 0.01, inject)
+        thrusts.append(DUCKIEDRONE.thrust[2] * np.square(u))
+    assert thrusts[1] - thrusts[0] == pytest.approx([0.0, 0.3, 0.0, 0.0], abs=1e-9)
+    with pytest.raises(ValueError, match="4 rotors"):
+        RotorForces(airframe=DUCKIEDRONE, rotors=(push,))
