@@ -113,6 +113,7 @@ def _function(name: str) -> Any:
         "rotate": ([q, v], rotation_matrix(q) @ v),
         "rotate_inverse": ([q, v], rotation_matrix(q).T @ v),
         "difference": ([q, p], quat_difference(q, p)),
+        "matrix": ([q], ca.vec(rotation_matrix(q).T)),
         "multiply": ([q, p], quat_multiply(q, p)),
         "exp": ([v], quat_exp(v)),
         "log": ([q], quat_log(q)),
@@ -127,6 +128,6 @@ def numeric(name: str, *arrays: npt.ArrayLike) -> FloatArray:
     """Evaluate a rotation formula over many samples, time first: arrays (N, 3) or (N, 4) in, (N, 3) or (N, 4) out.
 
     Names: rotate(q, v), rotate_inverse(q, v), difference(q_hat, q), multiply(a, b), exp(v), log(q), euler(q) -> (phi,
-    theta, psi), from_euler((phi, theta, psi)).
+    theta, psi), from_euler((phi, theta, psi)), matrix(q) -> R row by row (N, 9).
     """
     return evaluate(_function(name), *(np.atleast_2d(np.asarray(a, dtype=np.float64)) for a in arrays))

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FitError
-from greybox.estimation.engine import Engine
+from greybox.estimation.engine import Engine, Windows
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.symbolic import FloatArray, evaluate
 
@@ -34,33 +34,43 @@ class Smoothed:
 
 
 def transitions(
-    engine: Engine, states: FloatArray, rows: npt.NDArray[np.int_], inputs: FloatArray, p: FloatArray, dt: float
-) -> tuple[FloatArray, FloatArray]:
-    """(A (m, n_d, n_d), C (m, n_e, n_d)) of one step from each of `states` (m, n_x) at the record's `rows` (m,).
+    engine: Engine,
+    states: FloatArray,
+    rows: npt.NDArray[np.int_],
+    inputs: FloatArray,
+    p: FloatArray,
+    dt: float,
+    start: FloatArray | None = None,
+) -> Windows:
+    """One step from each of `states` (m, n_x) at the record's distinct `rows` (m,), linearised at the predicted output.
 
-    C is the derivative of the predicted outputs in innovation coordinates. Raises `FitError` for a step that is not
-    finite.
+    `start` (m, n_d, n_s) are the sensitivities to carry along, by default those of the state itself: then
+    `end_sensitivity` is A (m, n_d, n_d) and `sensitivity` is -C, the derivative of the innovation (m, n_e, n_d). Raises
+    `FitError` for a step that is not finite.
     """
-    m, nd = len(states), engine.nd
+    m = len(states)
     one = np.ones(m, dtype=np.int32)
     n = len(inputs) - engine.past - engine.future
-    na = len(engine.active)
-    start = np.zeros((m, nd, na + nd))
-    start[:, :, na:] = np.eye(nd)
+    # The chart of a measured attitude is linearised where the innovation is zero.
+    outputs = np.zeros((n, engine.ny))
+    outputs[rows] = engine.rollout(starts=states, rows=rows, horizon=1, inputs=inputs, p=p, dt=dt)[0][:, 0]
     found = engine.windows(
-        starts=states, rows=rows, lengths=one, tails=one, inputs=inputs, outputs=np.zeros((n, engine.ny)),
-        mask=np.ones((n, engine.ne)), p=p, dt=dt, s0=start,
+        starts=states, rows=rows, lengths=one, tails=one, inputs=inputs, outputs=outputs, mask=np.ones((n, engine.ne)),
+        p=p, dt=dt, s0=np.repeat(np.eye(engine.nd)[None], m, axis=0) if start is None else start,
     )  # fmt: skip
-    if found.failed_in is not None or found.end_sensitivity is None or found.sensitivity is None:
-        raise FitError("the linearisation along the flight is not finite")
-    return found.end_sensitivity[:, :, na:], -found.sensitivity[:, :, na:]
+    if found.failed_in is not None:
+        raise FitError("an open-loop prediction is not finite")
+    return found
 
 
 def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
     """Smooth one segment that `runner` has filtered. Raises `FitError` where the linearisation is not finite."""
     record, engine = filtered.record, runner.engine
     n, nd = record.n, engine.nd
-    a, c = transitions(engine, filtered.states, np.arange(n), record.inputs, filtered.p, record.dt)
+    linear = transitions(engine, filtered.states, np.arange(n), record.inputs, filtered.p, record.dt)
+    assert linear.end_sensitivity is not None
+    assert linear.sensitivity is not None
+    a, c = linear.end_sensitivity, -linear.sensitivity
     parts = [runner.riccati.gain(m) for m in record.patterns]
     gains = np.array([v[0] for v in parts])
     weights = np.array([np.linalg.inv(v[1]) for v in parts])

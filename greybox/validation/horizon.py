@@ -19,9 +19,10 @@ import scipy.stats
 
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
-from greybox.validation.coverage import LEVELS, mahalanobis_squared
+from greybox.validation.coverage import mahalanobis_squared
 from greybox.validation.groups import GROUPS, error_vectors, group
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
+from greybox.validation.predictive import LEVELS, gaussian_nlpd
 from greybox.validation.samples import complete_rows
 
 IntArray = npt.NDArray[np.int64]
@@ -60,6 +61,7 @@ class _Sums:
     diverged: FloatArray
     covered: dict[float, FloatArray]
     judged: FloatArray
+    density: FloatArray
     origins: int = 0
     left_out: int = 0
 
@@ -72,6 +74,7 @@ class _Sums:
             diverged=np.zeros(steps),
             covered={level: np.zeros(steps) for level in LEVELS},
             judged=np.zeros(steps),
+            density=np.zeros(steps),
         )
 
 
@@ -111,7 +114,8 @@ class HorizonAccumulator:
 
         `references[group]` (N, dimension), NaN = missing; `origins` (n,) indices into it; `predictions[group]`
         (n, H, dimension) with [:, h - 1] the prediction of sample origin + h; `covariances[group]` (n, H, 3, 3) of the
-        prediction error including the reference's own noise (rotation: body axes). Groups without reference are
+        prediction error including the reference's own noise (rotation: body axes), NaN where none is stated: those
+        samples take no part in coverage and density. Groups without reference are
         omitted. A prediction that is not finite counts as diverged: its error is infinite. Raises `DataError` for
         arrays that do not match and for origins without all their steps, `UnknownNameError` for an unknown group.
         """
@@ -176,13 +180,16 @@ class HorizonAccumulator:
         own.absolute += norms.sum(axis=0)
         own.square += (norms * norms).sum(axis=0)
         if covariance is not None:
-            judged = wanted & ~diverged
-            distance = np.full(norms.shape, np.inf)
+            stated = wanted & np.isfinite(covariance).all(axis=(2, 3))
+            judged = stated & ~diverged
+            distance, density = np.full(norms.shape, np.inf), np.where(stated & diverged, np.inf, 0.0)
             distance[judged] = mahalanobis_squared(errors[judged], covariance[judged])
-            own.judged += wanted.sum(axis=0)
+            density[judged] = gaussian_nlpd(errors[judged], covariance[judged])
+            own.judged += stated.sum(axis=0)
+            own.density += density.sum(axis=0)
             for level in LEVELS:
                 limit = scipy.stats.chi2.ppf(level, GROUPS[name].error_dimension)
-                own.covered[level] += (wanted & (distance <= limit)).sum(axis=0)
+                own.covered[level] += (stated & (distance <= limit)).sum(axis=0)
 
     def table(self) -> HorizonTable:
         """The table so far. Raises `DataError` where no origin was usable in any group."""
@@ -208,8 +215,9 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
     count = np.asarray(sum(p.count for p in parts))
     judged = np.asarray(sum(p.judged for p in parts))
     safe = np.maximum(count, 1.0)
-    coverage = None
+    coverage, nlpd = None, None
     if judged.any():
+        nlpd = np.where(judged > 0, sum(p.density for p in parts) / np.maximum(judged, 1.0), np.nan)
         coverage = {
             level: np.where(judged > 0, sum(p.covered[level] for p in parts) / np.maximum(judged, 1.0), np.nan)
             for level in LEVELS
@@ -222,4 +230,5 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
         origins=sum(p.origins for p in parts),
         left_out=sum(p.left_out for p in parts),
         coverage=coverage,
+        nlpd=nlpd,
     )

@@ -22,7 +22,8 @@ class GroupErrors:
 
     `mae` and `rmse` [unit of the group] are of the vector norm, `n` the errors behind them, `diverged` how many of
     these predictions were not finite. NaN stands where n = 0. `origins` were used and `left_out` lacked reference
-    samples. `coverage` maps a level to the fraction of errors inside the stated uncertainty, (H,).
+    samples. `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the stated covariance gives
+    to that level, (H,); `nlpd` (H,) is the mean negative log density of the error vectors [nat]. None: nothing stated.
     """
 
     mae: FloatArray
@@ -32,6 +33,7 @@ class GroupErrors:
     origins: int
     left_out: int
     coverage: Mapping[float, FloatArray] | None = None
+    nlpd: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +114,9 @@ def _cell(name: str, errors: GroupErrors, i: int) -> dict[str, Any]:
     }
     if errors.diverged[i]:
         cell["diverged"] = int(errors.diverged[i])
-    if errors.coverage is not None:
-        cell["coverage"] = {f"{100 * level:g}": float(c[i]) for level, c in errors.coverage.items()}
+    if errors.coverage is not None and errors.nlpd is not None and np.isfinite(errors.nlpd[i]):
+        cell |= {f"coverage{100 * level:g}": float(c[i]) for level, c in errors.coverage.items()}
+        cell["nlpd"] = float(errors.nlpd[i])
     return cell
 
 

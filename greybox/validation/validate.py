@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
-from greybox.errors import DataError, ModelError
+from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -28,12 +29,15 @@ from greybox.validation.one_step import OneStep
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray
+from greybox.validation.stated import stated_covariances
 
 Progress = Callable[[str], None]
 CHUNK = 4000
 """Origins that are rolled out at once (bounds the memory)."""
 START = 0.1
 """First seconds of every segment, which start the filter (as `make_record` does): origins come after them."""
+STATED = 0.1
+"""Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
 SPARSE = 0.8
 """Below this share of samples with a reference, horizons without a reference sample drop out instead of origins."""
 
@@ -136,7 +140,7 @@ class _Work:
             late = segment.t >= after - 1e-9
             late[: max(3, round(START / segment.dt)) - 1] = False
             self.one_step.add(flight.name, filtered, late)
-            self._roll_out(flight.name, segment, filtered, late, bias)
+            self._roll_out(flight.name, segment, filtered, late, bias, {} if adapted is None else adapted.std)
         self.flights.append(
             {"name": flight.name, "samples": flight.n, "seconds": flight.duration, "notes": list(flight.notes)}
         )
@@ -172,7 +176,9 @@ class _Work:
         vehicle = getattr(self.model.physics, "vehicle", None)
         return float(vehicle.gravity) if vehicle is not None else GRAVITY
 
-    def _roll_out(self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias) -> None:
+    def _roll_out(
+        self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]
+    ) -> None:  # fmt: skip
         origins = np.flatnonzero(late)
         origins = origins[origins < segment.n - REQUIRED]
         references = {g: _matrix(segment, g) for g in self.groups}
@@ -180,10 +186,11 @@ class _Work:
         if not references:
             return
         engine = self.filter.engine
+        propagator = Propagator(self.filter, extra=spread, use_compiler=self.use_compiler)
         for at in range(0, len(origins), CHUNK):
             part = origins[at : at + CHUNK]
             predicted = predict_from(engine, self.reader, filtered, part, steps=self.steps)
-            self._row("model", name, predicted, references, part)
+            self._row("model", name, predicted, references, part, self._stated(propagator, filtered, part, predicted))
             if self.measured:
                 predicted = predict_from(
                     engine, self.reader, filtered, part, steps=self.steps, measured_start=True, references=references
@@ -230,8 +237,25 @@ class _Work:
         predicted: Mapping[str, FloatArray],
         references: Mapping[str, FloatArray],
         origins: IntArray,
+        covariances: Mapping[str, FloatArray] | None = None,
     ) -> None:
-        self.rows[label].add(flight, {g: v for g, v in predicted.items() if g in references}, references, origins)
+        kept = {g: v for g, v in predicted.items() if g in references}
+        self.rows[label].add(flight, kept, references, origins, covariances=covariances)
+
+    def _stated(
+        self, propagator: Propagator, filtered: Filtered, origins: IntArray, predicted: Mapping[str, FloatArray]
+    ) -> dict[str, FloatArray]:
+        """Covariances of the errors ahead of every so many origins, NaN for the others."""
+        chosen = np.arange(0, len(origins), max(1, round(STATED / self.model.sample_time)))
+        try:
+            some = stated_covariances(propagator, filtered, origins[chosen], steps=self.steps, groups=predicted)
+        except FitError as error:
+            self.warnings.append(f"uncertainty ahead not computed: {error}")
+            return {}
+        out = {g: np.full((len(origins), self.steps, 3, 3), np.nan) for g in some}
+        for g, value in some.items():
+            out[g][chosen] = value
+        return out
 
     def _extrapolation(self, flight: Flight) -> None:
         """Say where a flight leaves the range that the training flights covered."""

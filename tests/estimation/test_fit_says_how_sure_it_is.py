@@ -61,9 +61,7 @@ def test_the_same_fit_twice_gives_the_same_numbers(fitted: Fit) -> None:
 
 def test_the_iteration_limit_is_not_convergence() -> None:
     data = flights()
-    result = fit(
-        build_model(vehicle(), data.channels, EFFECTS), data, solver=LevenbergMarquardt(max_iterations=2)
-    )
+    result = fit(build_model(vehicle(), data.channels, EFFECTS), data, solver=LevenbergMarquardt(max_iterations=2))
     assert not result.converged
     assert result.status.code is Code.MAX_ITERATIONS
     assert result.warnings[0].startswith("NOT converged")
@@ -93,9 +91,7 @@ def test_an_estimate_at_its_bound_has_no_two_sided_error() -> None:
     model = build_model(vehicle(), data.channels, EFFECTS)
     from dataclasses import replace
 
-    high = tuple(
-        replace(p, lower=0.06, nominal=0.07) if p.name == "motor_lag.tau" else p for p in model.parameters
-    )
+    high = tuple(replace(p, lower=0.06, nominal=0.07) if p.name == "motor_lag.tau" else p for p in model.parameters)
     object.__setattr__(model, "parameters", high)
     result = fit(model, data)
     bound = result["motor_lag.tau"]

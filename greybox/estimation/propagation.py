@@ -1,0 +1,153 @@
+"""Uncertainty of open-loop predictions: the covariance that travels along with every rollout.
+
+Linearised along the predicted path, in the error state d of the model:
+
+    S+ = A S A' + G Q G'                        filter error and process noise, white from step to step
+    c+ = A c + G sd_g(z),   b+ = A b + B        errors of the learned push and of parameters: constant over the horizon
+    Sigma = S + c c' + b Cov(p) b'
+
+An error of the learned function or of a parameter is the same at every step of one prediction, so it is carried as a
+consider state (Schmidt 1966) and not as fresh noise per step, which would average it out. What the model does not explain
+and is correlated in time is a state of `Disturbed`, with its own covariance in S. G is that of the model's reference point:
+in the error state it hardly depends on the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import FitError
+from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.gain import Linearisation
+from greybox.estimation.smoothing import transitions
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray, evaluate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ahead:
+    """Predictions h samples ahead of m origins: states (m, n_x), their error covariance (m, n_d, n_d), and that of the
+    predicted innovation, sensor noise included, (m, n_e, n_e)."""
+
+    h: int
+    states: FloatArray
+    covariance: FloatArray
+    innovation_covariance: FloatArray
+
+
+class Propagator:
+    """Propagates mean and covariance of an identified model through a horizon.
+
+    `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation to the flight.
+    `parameters=False` leaves the parameters' uncertainty out.
+    """
+
+    def __init__(
+        self,
+        runner: Filter,
+        *,
+        extra: Mapping[str, float] | None = None,
+        parameters: bool = True,
+        use_compiler: bool = True,
+    ) -> None:
+        model = runner.model
+        self.runner = runner
+        names, self.spread = _parameter_covariance(model, extra or {}) if parameters else ((), np.zeros((0, 0)))
+        self.engine: Engine = engine_for(model.dynamics, names, use_compiler=use_compiler)
+        past, future = model.dynamics.window
+        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
+        _, g, _, d = Linearisation(model.dynamics, ()).values(
+            model.reference_state, window, model.parameter_vector(), model.sample_time
+        )
+        self.push, self.through = g, d
+        self.noise = (g * model.process_noise**2) @ g.T
+        self.seen = (d * model.process_noise**2) @ d.T + np.diag(model.sensor_noise**2)
+        self._learned = _learned_spread(model.dynamics)
+
+    def run(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int) -> Iterator[Ahead]:
+        """h = 1 .. horizon ahead of `origins` (m,), which have `horizon` samples after them.
+
+        Raises `FitError` where a prediction stops being finite.
+        """
+        engine, record = self.engine, filtered.record
+        rows = np.asarray(origins) + 1
+        m, nd, na = len(rows), engine.nd, len(engine.active)
+        if m and rows.max() + horizon > record.n:
+            raise FitError("an origin has fewer samples after it than the horizon")
+        states = np.ascontiguousarray(filtered.states[rows])
+        white = np.repeat(filtered.state_covariance[None], m, axis=0)
+        learned = np.zeros((m, nd, 0 if self._learned is None else self._learned.count))
+        start = np.zeros((m, nd, na + nd))
+        start[:, :, na:] = np.eye(nd)
+        for h in range(1, horizon + 1):
+            at = rows + h - 1
+            found = transitions(engine, states, at, record.inputs, filtered.p, record.dt, start)
+            assert found.end_sensitivity is not None
+            assert found.sensitivity is not None
+            # `found` describes the output at this sample and the state after it.
+            c, direct = found.sensitivity[:, :, na:], found.sensitivity[:, :, :na]
+            bias = start[:, :, :na]
+            push = None
+            if self._learned is not None:
+                push = self._learned.spread(states, record.inputs, at, engine)
+            total = white + learned @ learned.transpose(0, 2, 1) + bias @ self.spread @ bias.transpose(0, 2, 1)
+            inner = c @ white @ c.transpose(0, 2, 1) + self.seen
+            # `sensitivity` already holds ex S + ep for the parameter columns.
+            inner = inner + direct @ self.spread @ direct.transpose(0, 2, 1)
+            if push is not None and self._learned is not None:
+                now = c @ learned - self.through[:, self._learned.rows] * push[:, None, :]
+                inner = inner + now @ now.transpose(0, 2, 1)
+            yield Ahead(h=h, states=states, covariance=total, innovation_covariance=inner)
+            a = found.end_sensitivity[:, :, na:]
+            white = a @ white @ a.transpose(0, 2, 1) + self.noise
+            if push is not None and self._learned is not None:
+                learned = a @ learned + self.push[:, self._learned.rows] * push[:, None, :]
+            start[:, :, :na] = found.end_sensitivity[:, :, :na]
+            states = found.ends
+
+
+def _parameter_covariance(model: IdentifiedModel, extra: Mapping[str, float]) -> tuple[tuple[str, ...], FloatArray]:
+    declared = {d.name for d in model.dynamics.parameters}
+    shared = [n for n in model.covariance_names if n in declared and n not in extra]
+    at = [model.covariance_names.index(n) for n in shared]
+    own = [n for n, s in extra.items() if n in declared and np.isfinite(s) and s > 0]
+    names = (*shared, *own)
+    cov = np.zeros((len(names), len(names)))
+    cov[: len(shared), : len(shared)] = np.nan_to_num(model.covariance[np.ix_(at, at)])
+    cov[range(len(shared), len(names)), range(len(shared), len(names))] = [extra[n] ** 2 for n in own]
+    return names, cov
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Learned:
+    """Standard deviation of a learned push along a path."""
+
+    function: Any
+    rows: list[int]
+
+    @property
+    def count(self) -> int:
+        return len(self.rows)
+
+    def spread(self, states: FloatArray, inputs: FloatArray, rows: npt.NDArray[np.int_], engine: Engine) -> FloatArray:
+        width = engine.past + 1 + engine.future
+        windows = inputs[rows[:, None] + np.arange(width)].reshape(len(rows), -1)
+        return np.sqrt(np.maximum(evaluate(self.function, states, windows), 0.0))
+
+
+def _learned_spread(dynamics: Any) -> _Learned | None:
+    """What a hybrid offers as `learned_variance` and `learned_rows`; None for a model without a learned part."""
+    if not hasattr(dynamics, "learned_variance"):
+        return None
+    past, future = dynamics.window
+    x = ca.MX.sym("x", len(dynamics.states))
+    window = ca.MX.sym("U", len(dynamics.inputs), past + 1 + future)
+    variance = ca.densify(dynamics.learned_variance(x, window))
+    return _Learned(function=ca.Function("spread", [x, window], [variance]), rows=list(dynamics.learned_rows))
