@@ -1,0 +1,472 @@
+"""The part of training that runs in GPyTorch: marginal likelihoods, polish of support points, SVGP with mini-batches.
+
+The only file of the GP that imports PyTorch and GPyTorch (the extra `gp`). Arrays in and out are NumPy, samples are rows,
+inputs and outputs standardised, prior mean zero. Everything is float64 with exact Cholesky settings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gpytorch
+import numpy as np
+import torch
+from linear_operator.utils.errors import NanError, NotPSDError
+from scipy.optimize import minimize
+
+from greybox.errors import FitError
+from greybox.residual import sparse
+from greybox.residual.kernels import FADE_POWER, Kernel, correlation, split_name
+from greybox.symbolic import FloatArray
+
+BOUNDS = {"lengthscale": (0.05, 100.0), "variance": (1e-6, 1e3), "slope": (1e-8, 1e2), "noise": (1e-6, 4.0)}
+"""In standardised units; the noise floor (a thousandth of the output's size) keeps condition numbers in float64's reach."""
+GRADIENT = 0.05
+"""Largest projected gradient of the log likelihood [nats per unit of a log parameter] that counts as converged."""
+ITERATIONS = 200
+COARSE = 200
+"""Samples of the subset on which the starts compete before the best is polished on all of it."""
+SVGP_JITTER = 1e-8
+
+
+class TrainingAborted(Exception):
+    """The likelihood is not a number any more."""
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """PyTorch on one thread: matrices of a few hundred rows are slower on more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hyper:
+    """Hyper-parameters of outputs that share `kernel`: noise variances (n,), and how the search for them ended."""
+
+    kernel: Kernel
+    noise: FloatArray
+    log_likelihood: float
+    status: str
+    message: str
+    evaluations: int
+    at_bound: tuple[str, ...] = ()
+
+
+class _FadedLinear(gpytorch.kernels.LinearKernel):
+    """GPyTorch's linear kernel of the features of `Kernel.features`."""
+
+    def __init__(self, reach: FloatArray, **kwargs: Any) -> None:
+        super().__init__(ard_num_dims=len(reach), **kwargs)
+        self.register_buffer("reach", torch.tensor(reach, dtype=torch.float64))
+
+    def _features(self, x: torch.Tensor) -> torch.Tensor:
+        return x / (1.0 + ((x / self.reach) ** FADE_POWER).sum(-1, keepdim=True))
+
+    def forward(self, x1: torch.Tensor, x2: torch.Tensor, **kwargs: Any) -> Any:
+        """The covariance of GPyTorch's kernel protocol."""
+        return super().forward(self._features(x1), self._features(x2), **kwargs)
+
+
+def _positive() -> gpytorch.constraints.Positive:
+    return gpytorch.constraints.Positive(transform=torch.exp, inv_transform=torch.log)
+
+
+def gpytorch_kernel(kernel: Kernel) -> gpytorch.kernels.Kernel:
+    """The same kernel as a GPyTorch module (float64), its raw parameters being logarithms."""
+    n = len(kernel.lengthscales)
+    if kernel.family == "se":
+        base = gpytorch.kernels.RBFKernel(ard_num_dims=n, lengthscale_constraint=_positive())
+    else:
+        nu = {"matern32": 1.5, "matern52": 2.5}[kernel.family]
+        base = gpytorch.kernels.MaternKernel(nu=nu, ard_num_dims=n, lengthscale_constraint=_positive())
+    module = gpytorch.kernels.ScaleKernel(base, outputscale_constraint=_positive()).double()
+    base.lengthscale = torch.tensor(np.array(kernel.lengthscales))
+    module.outputscale = torch.tensor(kernel.variance, dtype=torch.float64)
+    if kernel.slopes is None or kernel.reach is None:
+        return module
+    linear = _FadedLinear(np.array(kernel.reach), variance_constraint=_positive()).double()
+    linear.variance = torch.tensor(np.array(kernel.slopes))
+    return module + linear
+
+
+def gpytorch_likelihood(noise: float) -> gpytorch.likelihoods.GaussianLikelihood:
+    """A Gaussian likelihood with that noise variance (float64), its raw parameter being the logarithm."""
+    likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=_positive()).double()
+    likelihood.noise = torch.tensor(noise, dtype=torch.float64)
+    return likelihood
+
+
+class ExactModel(gpytorch.models.ExactGP):
+    """GPyTorch's exact GP with zero mean and the given covariance module."""
+
+    def __init__(self, x: torch.Tensor, y: torch.Tensor, likelihood: Any, covariance: Any) -> None:
+        super().__init__(x, y, likelihood)
+        self.mean_module = gpytorch.means.ZeroMean()
+        self.covar_module = covariance
+
+    def forward(self, x: torch.Tensor) -> Any:
+        """Prior at x."""
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+
+class VariationalModel(gpytorch.models.ApproximateGP):
+    """GPyTorch's SVGP (whitened) with zero mean, fixed inducing points and the given covariance module."""
+
+    def __init__(self, support: torch.Tensor, covariance: Any, jitter: float = 1e-8) -> None:
+        q = gpytorch.variational.CholeskyVariationalDistribution(support.shape[0]).double()
+        super().__init__(
+            gpytorch.variational.VariationalStrategy(
+                self, support, q, learn_inducing_locations=False, jitter_val=jitter
+            )
+        )
+        self.mean_module = gpytorch.means.ZeroMean()
+        self.covar_module = covariance
+
+    def forward(self, x: torch.Tensor) -> Any:
+        """Prior at x."""
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+
+# ------------------------------------------------------------------------------------------------ hyper-parameters
+
+
+def _pack(kernel: Kernel, noise: FloatArray) -> FloatArray:
+    parts: list[Any] = [kernel.lengthscales, [kernel.variance]]
+    if kernel.slopes is not None:
+        parts.append(kernel.slopes)
+    return np.log(np.concatenate([*parts, noise]))
+
+
+def _unpack(theta: FloatArray, like: Kernel) -> tuple[Kernel, FloatArray]:
+    n = len(like.lengthscales)
+    values = np.exp(theta)
+    slopes = values[n + 1 : 2 * n + 1] if like.slopes is not None else None
+    kernel = replace(like, lengthscales=values[:n], variance=float(values[n]), slopes=slopes)
+    return kernel, values[n + 1 + (n if slopes is not None else 0) :]
+
+
+def _bounds(like: Kernel, outputs: int) -> FloatArray:
+    n = len(like.lengthscales)
+    rows = [BOUNDS["lengthscale"]] * n + [BOUNDS["variance"]]
+    rows += [BOUNDS["slope"]] * (n if like.slopes is not None else 0) + [BOUNDS["noise"]] * outputs
+    return np.log(np.array(rows))
+
+
+def _likelihood_of(x: FloatArray, y: FloatArray, like: Kernel) -> Callable[[FloatArray], tuple[float, FloatArray]]:
+    """theta -> (minus log marginal likelihood of y (N, n) at x (N, n_in) summed over columns, gradient)."""
+    inputs, n = torch.tensor(x), len(x)
+    covariance = gpytorch_kernel(like)
+    likelihoods = [gpytorch_likelihood(0.1) for _ in range(y.shape[1])]
+    models = [
+        ExactModel(inputs, torch.tensor(y[:, j].copy()), likelihood, covariance)
+        for j, likelihood in enumerate(likelihoods)
+    ]
+    mlls = [gpytorch.mlls.ExactMarginalLogLikelihood(a, b) for a, b in zip(likelihoods, models)]
+    for model in models:
+        model.train()
+    stationary = covariance if like.slopes is None else covariance.kernels[0]
+    tensors = [stationary.base_kernel.raw_lengthscale, stationary.raw_outputscale]
+    tensors += [] if like.slopes is None else [covariance.kernels[1].raw_variance]
+    tensors += [likelihood.noise_covar.raw_noise for likelihood in likelihoods]
+
+    def value(theta: FloatArray) -> tuple[float, FloatArray]:
+        at = 0
+        for tensor in tensors:
+            part = torch.tensor(theta[at : at + tensor.numel()]).reshape(tensor.shape)
+            tensor.data.copy_(part)
+            tensor.grad = None
+            at += tensor.numel()
+        try:
+            with gpytorch.settings.fast_computations(False, False, False):
+                loss = sum(-n * mll(model(inputs), model.train_targets) for mll, model in zip(mlls, models))
+            loss.backward()
+        except (NanError, NotPSDError, RuntimeError) as error:
+            raise TrainingAborted(str(error).splitlines()[0]) from None
+        gradient = np.concatenate([t.grad.numpy().ravel() for t in tensors])
+        if not math.isfinite(loss.item()) or not np.isfinite(gradient).all():
+            raise TrainingAborted("the likelihood is not finite")
+        return loss.item(), gradient
+
+    return value
+
+
+def _search(x: FloatArray, y: FloatArray, like: Kernel, start: FloatArray, iterations: int) -> Hyper:
+    """L-BFGS-B from one start. "converged" only if the projected gradient really is small."""
+    bounds = _bounds(like, y.shape[1])
+    function = _likelihood_of(x, y, like)
+    best: list[Any] = [math.inf, np.clip(start, bounds[:, 0], bounds[:, 1]), np.full(start.shape, np.inf)]
+    count = 0
+
+    def value(theta: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal count
+        count += 1
+        f, g = function(theta)
+        if f < best[0]:
+            best[:] = [f, theta.copy(), g.copy()]
+        return f, g
+
+    status, message = "iteration limit", ""
+    try:
+        done = minimize(
+            value, best[1], jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"maxiter": iterations, "maxfun": 2 * iterations, "gtol": 0.5 * GRADIENT, "ftol": 1e-12, "maxcor": 20},
+        )  # fmt: skip
+        message = str(done.message)
+    except TrainingAborted as error:
+        status, message = "diverged", str(error)
+    f, theta, gradient = best
+    projected = np.clip(theta - gradient, bounds[:, 0], bounds[:, 1]) - theta
+    if status != "diverged" and np.abs(projected).max() <= GRADIENT:
+        status = "converged"
+    kernel, noise = _unpack(theta, like)
+    return Hyper(
+        kernel=kernel, noise=noise, log_likelihood=-f, status=status, message=message, evaluations=count,
+        at_bound=_at_bound(theta, bounds, like),
+    )  # fmt: skip
+
+
+def _at_bound(theta: FloatArray, bounds: FloatArray, like: Kernel) -> tuple[str, ...]:
+    """Names of parameters at their bounds; a length-scale at its upper bound only says that the input does not matter."""
+    n = len(like.lengthscales)
+    slopes = n if like.slopes is not None else 0
+    names = [f"lengthscale {i}" for i in range(n)] + ["variance"] + [f"slope {i}" for i in range(slopes)]
+    names += ["noise"] * (len(theta) - len(names))
+    low, high = theta <= bounds[:, 0] + 1e-6, theta >= bounds[:, 1] - 1e-6
+    high[:n] = False
+    low[n + 1 : n + 1 + slopes] = False
+    return tuple(name for name, hit in zip(names, low | high) if hit)
+
+
+def fit_hyper(
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    kernel: str,
+    reach: FloatArray,
+    seed: int,
+    restarts: int,
+    start: Hyper | None = None,
+) -> Hyper:
+    """Hyper-parameters of one kernel for the columns of y (N, n), by marginal likelihood. x (N, n_in), standardised.
+
+    `restarts` starts compete on `COARSE` samples; the best goes on with all. With `start` only that one is polished.
+    Raises `FitError` where the likelihood is not finite at any start.
+    """
+    family, linear = split_name(kernel)
+    n_in, n_out = x.shape[1], y.shape[1]
+    rng = np.random.default_rng(seed)
+    slopes = np.full(n_in, 0.1) if linear else None
+    like = Kernel(
+        family=family, lengthscales=np.ones(n_in), variance=1.0, slopes=slopes, reach=reach if linear else None
+    )
+    if start is not None:
+        starts = [_pack(replace(start.kernel, reach=like.reach), start.noise)]
+    else:
+        first = [(2.0 * math.sqrt(n_in), 0.5, 0.2), (math.sqrt(n_in), 0.5, 0.5)]
+        starts = []
+        for i in range(max(restarts, 1)):
+            if i < len(first):
+                scale, variance, noise = np.full(n_in, first[i][0]), first[i][1], first[i][2]
+            else:
+                scale, variance = np.exp(rng.uniform(0.0, np.log(10.0), n_in)), float(np.exp(rng.uniform(-2.0, 1.0)))
+                noise = float(np.exp(rng.uniform(np.log(0.01), 0.0)))
+            starts.append(_pack(replace(like, lengthscales=scale, variance=variance), np.full(n_out, noise)))
+    rows = np.sort(rng.permutation(len(x))[:COARSE])
+    used = 0
+    if len(starts) > 1 or len(x) > 2 * COARSE:
+        tried = [_search(x[rows], y[rows], like, s, 60) for s in starts]
+        used = sum(t.evaluations for t in tried)
+        tried = [t for t in tried if math.isfinite(t.log_likelihood)]
+        if tried:
+            best = max(tried, key=lambda t: t.log_likelihood)
+            starts = [_pack(best.kernel, best.noise)]
+    final = _search(x, y, like, starts[0], ITERATIONS)
+    if not math.isfinite(final.log_likelihood):
+        raise FitError("the GP's likelihood is not finite", got=final.message, fix="look for infinite or huge inputs")
+    return replace(final, evaluations=final.evaluations + used)
+
+
+# ------------------------------------------------------------------------------------------------ sparse objectives
+
+
+def _features(x: torch.Tensor, reach: torch.Tensor) -> torch.Tensor:
+    return x / (1.0 + ((x / reach) ** FADE_POWER).sum(-1, keepdim=True))
+
+
+def _covariance(family: str, raw: dict[str, torch.Tensor], a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    u, v = a / raw["lengthscale"].exp(), b / raw["lengthscale"].exp()
+    square = (u * u).sum(-1)[:, None] + (v * v).sum(-1)[None, :] - 2.0 * u @ v.T
+    k = raw["variance"].exp() * correlation(family, square, torch)[0]
+    if "slope" in raw:
+        k = k + (_features(a, raw["reach"]) * raw["slope"].exp()) @ _features(b, raw["reach"]).T
+    return k
+
+
+def polish(
+    x: FloatArray, y: FloatArray, kernels: Sequence[Kernel], noise: FloatArray, support: FloatArray, *, iterations: int
+) -> tuple[list[Kernel], FloatArray, FloatArray, str]:
+    """Move support points, kernels and noise up the gradient of the Titsias bound, summed over outputs (L-BFGS).
+
+    x (N, n_in), y (N, n_out), support (M, n_in). Returns (kernels, noise, support, status); outputs that shared a kernel
+    still do. The start comes back, with status "diverged", where the bound is not finite.
+    """
+    inputs, targets = torch.tensor(x), torch.tensor(y)
+    n, m = len(x), len(support)
+    unique = list({id(k): k for k in kernels}.values())
+    places = [next(i for i, u in enumerate(unique) if u is k) for k in kernels]
+    thetas = [_pack(k, np.empty(0)) for k in unique]
+    start = np.concatenate([support.ravel(), *thetas, np.log(noise)])
+    low, high = (np.log([BOUNDS[b][i] for b in ("lengthscale", "variance", "slope", "noise")]) for i in (0, 1))
+    n_in = x.shape[1]
+    span = np.abs(x).max(0)
+    bounds = [(-s, s) for _ in range(m) for s in 1.2 * span + 1e-9]
+    for k in unique:
+        bounds += [(low[0], high[0])] * n_in + [(low[1], high[1])]
+        bounds += [(low[2], high[2])] * (n_in if k.slopes is not None else 0)
+    bounds += [(low[3], high[3])] * len(noise)
+    box = np.array(bounds)
+    start = np.clip(start, box[:, 0], box[:, 1])
+
+    def value(theta: FloatArray) -> tuple[float, FloatArray]:
+        t = torch.tensor(theta, requires_grad=True)
+        z = t[: m * n_in].reshape(m, n_in)
+        at, raws = m * n_in, []
+        for k in unique:
+            raw = {"lengthscale": t[at : at + n_in], "variance": t[at + n_in]}
+            at += n_in + 1
+            if k.slopes is not None:
+                raw["slope"], raw["reach"] = t[at : at + n_in], torch.tensor(np.array(k.reach))
+                at += n_in
+            raws.append(raw)
+        loss = torch.zeros((), dtype=torch.float64)
+        for j, place in enumerate(places):
+            raw, level = raws[place], t[at + j].exp()
+            family = unique[place].family
+            prior = raw["variance"].exp()
+            diagonal = n * prior
+            if "slope" in raw:
+                diagonal = diagonal + (_features(inputs, raw["reach"]) ** 2 @ raw["slope"].exp()).sum()
+            kmm = _covariance(family, raw, z, z) + 1e-8 * prior * torch.eye(m, dtype=torch.float64)
+            factor = torch.linalg.cholesky(kmm)
+            a = torch.linalg.solve_triangular(factor, _covariance(family, raw, z, inputs), upper=False) / level.sqrt()
+            inner = torch.linalg.cholesky(torch.eye(m, dtype=torch.float64) + a @ a.T)
+            target = targets[:, j] / level.sqrt()
+            c = torch.linalg.solve_triangular(inner, (a @ target)[:, None], upper=False)
+            loss = loss + 0.5 * (
+                n * torch.log(2.0 * math.pi * level)
+                + 2.0 * inner.diagonal().log().sum()
+                + target @ target
+                - (c * c).sum()
+                + diagonal / level
+                - (a * a).sum()
+            )
+        loss.backward()
+        assert t.grad is not None
+        gradient = t.grad.numpy()
+        if not math.isfinite(loss.item()) or not np.isfinite(gradient).all():
+            raise TrainingAborted("the bound is not finite")
+        return loss.item(), gradient
+
+    try:
+        done = minimize(
+            value, start, jac=True, method="L-BFGS-B", bounds=box,
+            options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 20, "ftol": 1e-10},
+        )  # fmt: skip
+    except (TrainingAborted, torch.linalg.LinAlgError):
+        return list(kernels), noise, support, "diverged"
+    theta = done.x
+    at = m * n_in
+    moved = []
+    for k in unique:
+        length = n_in + 1 + (n_in if k.slopes is not None else 0)
+        moved.append(_unpack(theta[at : at + length], k)[0])
+        at += length
+    status = "converged" if done.success else "iteration limit"
+    return [moved[i] for i in places], np.exp(theta[at:]), theta[: m * n_in].reshape(m, n_in), status
+
+
+def train_svgp(
+    x: FloatArray,
+    y: FloatArray,
+    kernel: Kernel,
+    noise: float,
+    support: FloatArray,
+    *,
+    tau: float,
+    seed: int,
+    epochs: int,
+    batch: int = 1024,
+    rate: float = 0.01,
+) -> tuple[Kernel, float, sparse.Numbers, str]:
+    """SVGP of one output with mini-batches: kernel, noise and q(u) by Adam on GPyTorch's evidence bound.
+
+    Starts at the closed-form q(u) of the given hyper-parameters, so that a few epochs refine rather than search. x (N,
+    n_in), y (N,), support (M, n_in). `tau` divides the weight of the data (noise inflation). Returns (kernel, noise
+    variance, numbers, status); where the bound falls below its start by more than it may scatter, or is not finite, the
+    start comes back with status "diverged".
+    """
+    torch.manual_seed(seed)
+    closed = sparse.collapsed(kernel, support.T, x.T, y, noise * tau, jitter=SVGP_JITTER)
+    factor, _ = sparse.safe_cholesky(kernel.covariance(support.T, support.T), SVGP_JITTER)
+    inverse_root = closed.uncertain @ factor
+    covariance, likelihood = gpytorch_kernel(kernel), gpytorch_likelihood(noise)
+    model = VariationalModel(torch.tensor(support), covariance, SVGP_JITTER)
+    q = model.variational_strategy._variational_distribution
+    q.variational_mean.data = torch.tensor(factor.T @ closed.weights)
+    q.chol_variational_covar.data = torch.tensor(sparse.safe_cholesky(inverse_root.T @ inverse_root)[0])
+    model.variational_strategy.variational_params_initialized.fill_(1)
+    model.train()
+    bound = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(y) / tau)
+    parameters = [*model.parameters(), *likelihood.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=rate)
+    inputs, targets = torch.tensor(x), torch.tensor(y)
+    draw = np.random.default_rng(seed)
+    history: list[float] = []
+    status = "iteration limit"
+    for epoch in range(epochs):
+        for group in optimiser.param_groups:
+            group["lr"] = rate * 0.5 * (1.0 + math.cos(math.pi * epoch / epochs))
+        total, steps = 0.0, 0
+        order = draw.permutation(len(y))
+        for at in range(0, len(y), batch):
+            rows = torch.tensor(order[at : at + batch])
+            optimiser.zero_grad()
+            try:
+                with gpytorch.settings.fast_computations(False, False, False):
+                    loss = -bound(model(inputs[rows]), targets[rows])
+                loss.backward()
+            except (NanError, NotPSDError, RuntimeError):
+                return kernel, noise, closed, "diverged"
+            optimiser.step()
+            total, steps = total + loss.item(), steps + 1
+        history.append(total / steps)
+        if not math.isfinite(history[-1]) or history[-1] > history[0] + 1.0:
+            return kernel, noise, closed, "diverged"
+    # With the step size gone to zero, an unchanged bound means an optimum rather than a pause.
+    if len(history) > 2 and abs(history[-1] - history[-2]) < 1e-3 and history[-1] <= history[0] + 1e-3:
+        status = "converged"
+    trained = kernel_of(covariance, kernel)
+    root = torch.tril(q.chol_variational_covar).detach().numpy()
+    numbers = sparse.variational(trained, support.T, q.variational_mean.detach().numpy(), root, jitter=SVGP_JITTER)
+    return trained, float(likelihood.noise.item()), numbers, status
+
+
+def kernel_of(module: Any, like: Kernel) -> Kernel:
+    """Read a module of `gpytorch_kernel(like)` back into plain numbers."""
+    stationary = module if like.slopes is None else module.kernels[0]
+    slopes = None if like.slopes is None else module.kernels[1].variance.detach().numpy().ravel()
+    return replace(
+        like,
+        lengthscales=stationary.base_kernel.lengthscale.detach().numpy().ravel(),
+        variance=float(stationary.outputscale.item()),
+        slopes=slopes,
+    )

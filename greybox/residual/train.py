@@ -1,0 +1,482 @@
+"""Training of the residual GP: rows of inputs and outputs go in, a `GPPosterior` and a report come out.
+
+Hyper-parameters come from the exact marginal likelihood of a subset (greybox/residual/torch_gp.py), the posterior then
+from all data in closed form (greybox/residual/sparse.py). On held-out samples, by group and never by sample, every output
+has to beat a constant, and the number of support points can be chosen there. PyTorch is imported only when training runs.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from greybox.errors import GreyboxError, ModelError, UnknownNameError
+from greybox.residual import sparse
+from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
+from greybox.residual.kernels import Kernel, split_name
+from greybox.residual.posterior import METHODS, Domain, GPPosterior
+from greybox.residual.selection import (
+    SIZES,
+    Curve,
+    IntArray,
+    blocks_of,
+    choose,
+    held_out,
+    mean_and_error,
+    place_points,
+    stratified,
+    timed,
+)
+from greybox.residual.training_report import OutputReport, TrainedGP, TrainingReport
+from greybox.symbolic import BoolArray, FloatArray, Layout
+
+if TYPE_CHECKING:
+    from greybox.residual.torch_gp import Hyper
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of all work that is done."""
+NOISE = ("white", "per-group", "auto")
+REACH = 1.5
+"""The linear part is faded out from this multiple of the largest training input on."""
+POLISH_SAMPLES = 2000
+JUDGED = 10_000
+"""Held-out samples that judge at most."""
+LEAST = 20
+"""Complete rows without which nothing is trained."""
+
+
+class MissingExtraError(GreyboxError, ImportError):
+    """Training was asked for where PyTorch and GPyTorch are not installed."""
+
+
+def _torch() -> Any:
+    try:
+        from greybox.residual import torch_gp
+    except ImportError as error:
+        raise MissingExtraError(
+            f"training a GP needs PyTorch and GPyTorch ({error})", fix="pip install greybox[gp]"
+        ) from None
+    return torch_gp
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Settings:
+    kernel: str
+    method: str
+    seed: int
+    restarts: int
+    noise: str
+    noise_inflation: str | float
+    share_kernel: bool
+    prior_mean: str
+    subset: int
+    polish: bool
+    epochs: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Complete rows: z (N, n_in), y (N, n_out), place in the given arrays (N,), number of the group (N,)."""
+
+    z: FloatArray
+    y: FloatArray
+    place: IntArray
+    group: IntArray
+
+    def take(self, which: Any) -> _Rows:
+        return _Rows(z=self.z[which], y=self.y[which], place=self.place[which], group=self.group[which])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Output:
+    """One trained output in standardised units."""
+
+    hyper: Hyper
+    numbers: sparse.Numbers | None
+    noise: float
+    tau: float
+    by_group: dict[int, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trained:
+    posterior: GPPosterior
+    outputs: tuple[_Output, ...]
+    subset: int
+    polish: str | None
+
+
+def train_gp(
+    Z: npt.ArrayLike,
+    Y: npt.ArrayLike,
+    *,
+    inputs: Layout,
+    outputs: Layout,
+    kernel: str = "se",
+    method: str = "sgpr",
+    points: int | str = 100,
+    seed: int = 0,
+    restarts: int = 2,
+    groups: Sequence[Any] | npt.NDArray[Any] | None = None,
+    noise: str = "white",
+    noise_inflation: str | float = "auto",
+    share_kernel: bool = False,
+    prior_mean: str = "zero",
+    subset: int = 400,
+    hold_out: float = 0.25,
+    polish: bool = False,
+    epochs: int = 5,
+    progress: Progress | None = None,
+) -> TrainedGP:
+    """Train one independent GP per output on rows Z (N, n_in) -> Y (N, n_out), in the units of the layouts.
+
+    kernel: "se" (ARD), "matern32", "matern52", or "linear+" one of these. method: "sgpr" (all data projected on `points`
+    support points), "svgp" (the same start, then `epochs` of mini-batches), "exact" (every sample a support point). points:
+    a number, or "auto" for the smallest number whose held-out NLPD is as good as the best. groups (N,): the flight of each
+    row, None for one flight; rows of a group are in time order. noise: "white", "per-group", or "auto" (per group where the
+    BIC says so). noise_inflation: "auto" (integrated autocorrelation time of the standardised errors within groups), or a
+    factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
+    data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
+    of the samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement. polish: gradient
+    polish of support points and hyper-parameters.
+
+    Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
+    `MissingExtraError` without the extra `gp`.
+    """
+    _check_names(kernel, method, points, noise, noise_inflation, prior_mean)
+    rows, names, dropped = _rows(Z, Y, groups, inputs, outputs)
+    settings = _Settings(
+        kernel=kernel, method=method, seed=seed, restarts=restarts, noise=noise, noise_inflation=noise_inflation,
+        share_kernel=share_kernel, prior_mean=prior_mean, subset=subset, polish=polish, epochs=epochs,
+    )  # fmt: skip
+    if points == "auto" and (method == "exact" or hold_out <= 0):
+        raise ModelError('points="auto" needs a sparse method and a hold-out', fix="pass a number of points")
+    torch_gp = _torch()
+    report = progress or (lambda _text, _share: None)
+    seconds: dict[str, float] = {}
+    warnings: list[str] = []
+    constant = np.ptp(rows.z, axis=0) == 0
+    if constant.any():
+        warnings.append(f"constant inputs say nothing: {', '.join(n for n, c in zip(inputs.names, constant) if c)}")
+    with threadpool_limits(limits=1), torch_gp.one_thread():
+        judged: dict[int, dict[str, float]] = {}
+        start: list[Hyper] | None = None
+        null = np.zeros(len(outputs), dtype=bool)
+        curve: Curve | None = None
+        out_names: tuple[str, ...] = ()
+        if hold_out > 0:
+            mask = held_out(rows.group, hold_out, seed)
+            out_names = tuple(names[g] for g in np.unique(rows.group[mask])) if len(names) > 1 else ("last part",)
+            most = max(SIZES) if points == "auto" else int(points)
+            tick = time.perf_counter()
+            first = _train(rows.take(~mask), inputs, outputs, names, most, settings, None, null, report, (0.0, 0.5))
+            seconds["on the training part"] = time.perf_counter() - tick
+            start = [o.hyper for o in first.outputs]
+            judged, null = _judge(first.posterior, rows.take(~mask), rows.take(mask), settings)
+            if points == "auto":
+                tick = time.perf_counter()
+                curve = _curve(first, rows.take(~mask), rows.take(mask), null)
+                seconds["curve"] = time.perf_counter() - tick
+                points = curve.chosen if curve.trials else SIZES[0]
+        tick = time.perf_counter()
+        final = _train(rows, inputs, outputs, names, int(points), settings, start, null, report, (0.5, 1.0))
+        seconds["on all data"] = time.perf_counter() - tick
+    posterior = final.posterior
+    for name, is_null in zip(outputs.names, null):
+        if is_null:
+            warnings.append(f"{name}: the held-out samples do not prefer the GP to a constant; its mean is set to zero")
+    if final.polish == "diverged":
+        warnings.append("the polish diverged; the result is without it")
+    report("done", 1.0)
+    return TrainedGP(
+        posterior=posterior,
+        report=TrainingReport(
+            method=method, kernel=kernel, points=posterior.points, subset=final.subset, rows_used=len(rows.z),
+            rows_dropped=dropped, groups=len(names), held_out=out_names, curve=curve, seconds=seconds,
+            warnings=tuple(warnings),
+            outputs=tuple(
+                _report_output(posterior, j, o, bool(null[j]), judged.get(j, {})) for j, o in enumerate(final.outputs)
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _check_names(
+    kernel: str, method: str, points: int | str, noise: str, noise_inflation: str | float, prior_mean: str
+) -> None:
+    split_name(kernel)
+    for kind, value, known in (
+        ("GP method", method, METHODS), ("noise model", noise, NOISE), ("prior mean", prior_mean, ("zero", "constant")),
+    ):  # fmt: skip
+        if value not in known:
+            raise UnknownNameError(kind, value, known)
+    if points != "auto" and (isinstance(points, str) or points < 1):
+        raise ModelError("the number of support points", expected='a positive number or "auto"', got=repr(points))
+    if noise_inflation != "auto" and (isinstance(noise_inflation, str) or not 1.0 <= noise_inflation < math.inf):
+        raise ModelError("noise_inflation", expected='"auto" or a factor of at least 1', got=repr(noise_inflation))
+
+
+def _rows(
+    z: npt.ArrayLike, y: npt.ArrayLike, groups: Any, inputs: Layout, outputs: Layout
+) -> tuple[_Rows, list[str], int]:
+    """(complete rows, names of the groups, number of dropped rows)."""
+    z, y = np.asarray(z, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if z.ndim != 2 or z.shape[1] != len(inputs) or y.shape != (len(z), len(outputs)):
+        raise ModelError(
+            "the training arrays do not fit the layouts",
+            expected=f"(N, {len(inputs)}) and (N, {len(outputs)})",
+            got=f"{z.shape} and {y.shape}",
+        )
+    labels = np.zeros(len(z), dtype=int) if groups is None else np.asarray(groups)
+    if labels.shape != (len(z),):
+        raise ModelError("groups", expected=f"({len(z)},), one per row", got=str(labels.shape))
+    # In order of appearance, so that results do not depend on how flights are called.
+    unique, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.argsort(order)[inverse]
+    if np.isinf(z).any() or np.isinf(y).any():
+        raise ModelError("the training arrays hold infinite values")
+    keep = np.isfinite(z).all(1) & np.isfinite(y).all(1)
+    if keep.sum() < LEAST:
+        raise ModelError("too few complete rows to train a GP", expected=f"at least {LEAST}", got=str(int(keep.sum())))
+    at = np.flatnonzero(keep)
+    there = np.unique(number[at])
+    rows = _Rows(z=z[at], y=y[at], place=at, group=np.searchsorted(there, number[at]))
+    return rows, [str(unique[order[g]]) for g in there], int(len(z) - at.size)
+
+
+def _train(
+    rows: _Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: _Settings,
+    start: Sequence[Hyper] | None, null: BoolArray, progress: Progress, share: tuple[float, float],
+) -> _Trained:  # fmt: skip
+    """Hyper-parameters on a subset, then the posterior from all of `rows`; statistics from these rows alone."""
+    torch_gp = _torch()
+    z_mean, z_scale = rows.z.mean(0), _scale(rows.z.std(0))
+    y_mean = rows.y.mean(0) if s.prior_mean == "constant" else np.zeros(len(outputs))
+    y_scale = _scale(np.sqrt(np.mean((rows.y - y_mean) ** 2, axis=0)))
+    x, y = (rows.z - z_mean) / z_scale, (rows.y - y_mean) / y_scale
+    reach = REACH * np.maximum(np.abs(x).max(0), 1.0)
+    sub = np.arange(len(x)) if s.method == "exact" and len(x) <= s.subset else stratified(rows.group, s.subset, s.seed)
+    live = [j for j in range(len(outputs)) if not null[j]]
+    hypers: dict[int, Hyper] = {}
+    jobs = [live] if s.share_kernel and live else [[j] for j in live]
+    span = share[1] - share[0]
+    for i, job in enumerate(jobs):
+        text = "all outputs" if s.share_kernel else outputs.names[job[0]]
+        progress(f"hyper-parameters of {text}", share[0] + 0.8 * span * i / len(jobs))
+        given = None if start is None else replace(start[job[0]], noise=np.concatenate([start[j].noise for j in job]))
+        found = torch_gp.fit_hyper(
+            x[sub], y[sub][:, job], kernel=s.kernel, reach=reach, seed=s.seed, restarts=s.restarts, start=given
+        )
+        for at, j in enumerate(job):
+            hypers[j] = replace(found, noise=found.noise[at : at + 1])
+    kernels = {j: hypers[j].kernel for j in live}
+    levels = {j: float(hypers[j].noise[0]) for j in live}
+    support = x
+    polished = None
+    if s.method != "exact" and live:
+        progress("support points", share[0] + 0.8 * span)
+        noise = np.array([levels[j] for j in live])
+        support = place_points([kernels[j] for j in live], noise, x, points, seed=s.seed, group=rows.group)
+        if s.polish:
+            few = stratified(rows.group, POLISH_SAMPLES, s.seed + 1)
+            new, noise, support, polished = torch_gp.polish(
+                x[few], y[few][:, live], [kernels[j] for j in live], noise, support, iterations=100
+            )
+            kernels, levels = dict(zip(live, new)), dict(zip(live, noise.tolist()))
+    elif not live:
+        support = x[:1]
+    done = []
+    for j in range(len(outputs)):
+        progress(f"posterior of {outputs.names[j]}", share[0] + span * (0.9 + 0.1 * j / len(outputs)))
+        if null[j]:
+            assert start is not None
+            done.append(_null_output(start[j], float(np.mean(y[:, j] ** 2)), len(support)))
+            continue
+        done.append(_output(replace(hypers[j], kernel=kernels[j]), levels[j], support, x, y[:, j], rows, s))
+    flights = np.unique(rows.group)
+    group_noise = {
+        names[g]: np.array([o.by_group.get(int(g), o.noise) for o in done]) * y_scale**2
+        for g in flights
+        if any(o.by_group for o in done)
+    }
+    m = len(support)
+    posterior = GPPosterior(
+        inputs=inputs, outputs=outputs, method=s.method, kernels=tuple(o.hyper.kernel for o in done), input_mean=z_mean,
+        input_scale=z_scale, output_mean=y_mean, output_scale=y_scale, support=support,
+        weights=np.stack([np.zeros(m) if o.numbers is None else o.numbers.weights for o in done], axis=1),
+        explained=np.stack([np.zeros((m, m)) if o.numbers is None else o.numbers.explained for o in done]),
+        uncertain=np.stack([np.zeros((m, m)) if o.numbers is None else o.numbers.uncertain for o in done]),
+        noise=np.array([o.noise for o in done]) * y_scale**2, group_noise=group_noise,
+        noise_inflation=tuple(o.tau for o in done),
+        jitter=tuple(0.0 if o.numbers is None else o.numbers.jitter for o in done),
+        domain=Domain(lower=rows.z.min(0), upper=rows.z.max(0), samples=len(x)),
+    )  # fmt: skip
+    seen = posterior.evaluate_distance(rows.z[stratified(rows.group, POLISH_SAMPLES, s.seed)])
+    quantiles = np.quantile(seen, [0.5, 0.95, 0.99, 1.0])
+    posterior = replace(posterior, domain=replace(posterior.domain, distance=tuple(quantiles)))
+    return _Trained(posterior=posterior, outputs=tuple(done), subset=len(sub), polish=polished)
+
+
+def _scale(values: FloatArray) -> FloatArray:
+    return np.where(values > 0, values, 1.0)
+
+
+def _null_output(hyper: Hyper, mean_square: float, points: int) -> _Output:
+    """Zero mean; the kernel's variance is the leftover, at most what the data show, and the rest is noise."""
+    kernel = hyper.kernel
+    leftover = min(kernel.variance, mean_square)
+    plain = Kernel(family=kernel.family, lengthscales=kernel.lengthscales, variance=leftover)
+    return _Output(hyper=replace(hyper, kernel=plain), numbers=None, noise=mean_square - leftover, tau=1.0, by_group={})
+
+
+def _output(
+    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: _Rows, s: _Settings
+) -> _Output:
+    """The posterior of one output from all rows, with its noise inflated for correlation in time."""
+    kernel = hyper.kernel
+    tau = 1.0 if s.noise_inflation == "auto" else float(s.noise_inflation)
+    level: FloatArray | float = noise
+    by_group: dict[int, float] = {}
+    numbers = _closed(kernel, support, x, y, level, tau, s.method)
+    per_group = s.noise == "per-group"
+    # The errors depend a little on the inflation, and it on them: three rounds settle it.
+    for _ in range(3):
+        e = y - _mean_at(kernel, support, x, numbers.weights)
+        before = tau
+        spread = np.sqrt(level)
+        if s.noise_inflation == "auto":
+            tau = autocorrelation_time(e / spread, rows.place, rows.group)
+        if s.noise == "auto" and not per_group:
+            per_group = groups_differ(e, rows.group, tau)
+        if per_group:
+            by_group = group_variances(e, rows.group)
+            level = np.array([by_group[g] for g in range(int(rows.group.max()) + 1)])[rows.group]
+        elif abs(tau - before) <= 0.02 * before:
+            break
+        numbers = _closed(kernel, support, x, y, level, tau, s.method)
+    if by_group:
+        noise = float(np.mean(list(by_group.values())))
+    if s.method == "svgp":
+        kernel, noise, numbers, status = _torch().train_svgp(
+            x, y, kernel, noise, support, tau=tau, seed=s.seed, epochs=s.epochs
+        )
+        hyper = replace(hyper, kernel=kernel, status=status if hyper.status == "converged" else hyper.status)
+    return _Output(hyper=hyper, numbers=numbers, noise=noise, tau=tau, by_group=by_group)
+
+
+def _closed(
+    kernel: Kernel,
+    support: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    level: FloatArray | float,
+    tau: float,
+    method: str,
+) -> sparse.Numbers:
+    if method == "exact":
+        return sparse.exact(kernel, x.T, y, level * tau)
+    return sparse.collapsed(kernel, support.T, x.T, y, level * tau)
+
+
+def _mean_at(kernel: Kernel, support: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
+    parts = [
+        weights @ kernel.covariance(support.T, x[at : at + sparse.CHUNK].T) for at in range(0, len(x), sparse.CHUNK)
+    ]
+    return np.concatenate(parts)
+
+
+# ------------------------------------------------------------------------------------------------------- judgement
+
+
+def _nlpd(y: FloatArray, mean: FloatArray, variance: FloatArray) -> FloatArray:
+    return 0.5 * (np.log(2.0 * np.pi * variance) + (y - mean) ** 2 / variance)
+
+
+def _thin(rows: _Rows) -> _Rows:
+    return rows.take(slice(None, None, -(-len(rows.z) // JUDGED)))
+
+
+def _judge(
+    posterior: GPPosterior, train: _Rows, test: _Rows, s: _Settings
+) -> tuple[dict[int, dict[str, float]], BoolArray]:
+    """Held-out scores of each output against the constant of the training part, and which outputs lose.
+
+    An output keeps its GP only if it is better by more than one standard error of the block means.
+    """
+    test = _thin(test)
+    mean, variance = posterior.evaluate(test.z, noise=True)
+    block = blocks_of(test.group)
+    scores, null = {}, np.zeros(test.y.shape[1], dtype=bool)
+    for j in range(test.y.shape[1]):
+        centre = float(posterior.output_mean[j])
+        level = float(np.mean((train.y[:, j] - centre) ** 2))
+        if level == 0:
+            null[j] = True
+            continue
+        gp, flat = (
+            _nlpd(test.y[:, j], mean[:, j], variance[:, j]),
+            _nlpd(test.y[:, j], np.array(centre), np.array(level)),
+        )
+        gain, error = mean_and_error(flat - gp, block)
+        null[j] = gain <= error
+        scores[j] = {
+            "nlpd": float(gp.mean()), "nlpd_constant": float(flat.mean()), "gain": gain, "gain_error": error,
+            "rmse": float(np.sqrt(np.mean((test.y[:, j] - mean[:, j]) ** 2))),
+            "rmse_constant": float(np.sqrt(np.mean((test.y[:, j] - centre) ** 2))),
+        }  # fmt: skip
+    return scores, null
+
+
+def _curve(first: _Trained, train: _Rows, test: _Rows, null: BoolArray) -> Curve:
+    """Held-out quality for the beginnings of the list of support points, hyper-parameters and inflation held."""
+    test = _thin(test)
+    full = first.posterior
+    live = np.flatnonzero(~null)
+    if live.size == 0:
+        return Curve()
+    x = (train.z - full.input_mean) / full.input_scale
+    y = (train.y - full.output_mean) / full.output_scale
+    sizes = sorted({m for m in SIZES if m < full.points} | {full.points})
+    nlpd, rmse, seconds = [], [], []
+    for m in sizes:
+        support = full.support[:m]
+        numbers = [
+            sparse.collapsed(o.hyper.kernel, support.T, x.T, y[:, j], o.noise * o.tau)
+            for j, o in enumerate(first.outputs)
+        ]
+        posterior = replace(
+            full,
+            support=support,
+            weights=np.stack([n.weights for n in numbers], axis=1),
+            explained=np.stack([n.explained for n in numbers]),
+            uncertain=np.stack([n.uncertain for n in numbers]),
+            jitter=tuple(n.jitter for n in numbers),
+        )
+        posterior.evaluate(test.z[:2])
+        (mean, variance), taken = timed(posterior.evaluate, test.z)
+        variance = variance + posterior.noise
+        nlpd.append(_nlpd(test.y, mean, variance)[:, live].mean(1))
+        rmse.append(float(np.sqrt(np.mean(((test.y - mean) / full.output_scale)[:, live] ** 2))))
+        seconds.append(taken / len(test.z))
+    return choose(sizes, nlpd, rmse, blocks_of(test.group), inputs=x.shape[1], outputs=live.size, seconds=seconds)
+
+
+def _report_output(
+    posterior: GPPosterior, j: int, output: _Output, null: bool, scores: dict[str, float]
+) -> OutputReport:
+    hyper, scale = output.hyper, float(posterior.output_scale[j])
+    return OutputReport(
+        name=posterior.outputs.names[j], status="null" if null else hyper.status, message=hyper.message,
+        log_likelihood=hyper.log_likelihood, evaluations=hyper.evaluations, at_bound=hyper.at_bound,
+        lengthscales=tuple((hyper.kernel.lengthscales * posterior.input_scale).tolist()),
+        signal_std=scale * math.sqrt(hyper.kernel.variance), noise_std=scale * math.sqrt(output.noise),
+        noise_inflation=output.tau, noise_per_group=bool(output.by_group), **scores,
+    )  # fmt: skip

@@ -1,0 +1,77 @@
+"""What training a GP did, in numbers: one report per output, the curve over support points, times and warnings."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from greybox.residual.posterior import GPPosterior
+from greybox.residual.selection import Curve
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputReport:
+    """Training of one output.
+
+    `status` is "converged", "iteration limit", "diverged" or "null" (the held-out samples do not prefer the GP to a
+    constant; its mean is zero and its prior variance is the leftover). `log_likelihood` is of the exact subset.
+    lengthscales in input units, signal_std and noise_std in output units. nlpd and nlpd_constant [nats per sample], their
+    difference `gain` with its standard error, and the RMSE of both, are of held-out samples; None without a hold-out.
+    """
+
+    name: str
+    status: str
+    message: str
+    log_likelihood: float
+    evaluations: int
+    at_bound: tuple[str, ...]
+    lengthscales: tuple[float, ...]
+    signal_std: float
+    noise_std: float
+    noise_inflation: float
+    noise_per_group: bool
+    nlpd: float | None = None
+    nlpd_constant: float | None = None
+    gain: float | None = None
+    gain_error: float | None = None
+    rmse: float | None = None
+    rmse_constant: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingReport:
+    """Training of all outputs. `seconds` by stage; `held_out` names the groups that judged (or "last part")."""
+
+    method: str
+    kernel: str
+    points: int
+    subset: int
+    rows_used: int
+    rows_dropped: int
+    groups: int
+    held_out: tuple[str, ...]
+    outputs: tuple[OutputReport, ...]
+    curve: Curve | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether every output that was trained also converged."""
+        return all(o.status in ("converged", "null") for o in self.outputs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            **asdict(self),
+            "converged": self.converged,
+            "curve": None if self.curve is None else self.curve.to_dict(),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedGP:
+    """What `train_gp` returns: the posterior to keep, and the report of how it came about."""
+
+    posterior: GPPosterior
+    report: TrainingReport
