@@ -8,8 +8,8 @@ smaller model is nested. A new effect is one small file plus one line in the cat
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from greybox.model.parameter import Parameter
@@ -22,13 +22,17 @@ SLOTS: Mapping[str, frozenset[str]] = {
     "rotor": frozenset({"steady_factor", "lag"}),
     "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
     "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
-    "wrench": frozenset({"force", "moment", "hub_force"}),
-    "sensor": frozenset({"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed"}),
+    "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
+    "sensor": frozenset({"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed", "imu_delay"}),
 }
 """What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
 at most one lag (tau_up, tau_down) [s]; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
-multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs;
-sensor: the value replaces the measured one, in the order of `Effect.order`."""
+multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs,
+winds [m/s] in world axes add; sensor: the value replaces the measured one, in the order of `Effect.order`, delays of gyro
+and accelerometer (imu_delay) [s] add."""
+
+EARLY = frozenset({"delay", "lag", "wind", "imu_delay"})
+"""Slots that the model must know before it comes to their stage: states, window and airspeeds depend on them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,25 +85,37 @@ class ReferenceCase:
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What must be known for the effect to be in a model: input columns, vehicle facts, other effects."""
+    """What must be there for the effect to be in a model and to be felt.
+
+    All `columns` of the log, all facts of the `vehicle` file (dotted, as "actuator.rotor_radius"), one of `sensors` and
+    one of `other_sensors`. Of `effects` one must be in the model for this one to be felt; a model without is allowed.
+    """
 
     columns: tuple[str, ...] = ()
     vehicle: tuple[str, ...] = ()
-    sensors: tuple[str, ...] = field(default=())
+    sensors: tuple[str, ...] = ()
+    other_sensors: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
 
 
 class Effect(ABC):
-    """Base of all effects: declarations as class attributes, the formula in `apply`."""
+    """Base of all effects: declarations as class attributes, the formula in `apply`.
+
+    Effects of the catalogue also name their source and have a case worked by hand; an effect from a user's file may
+    leave out `references`, `validity` and `case`.
+    """
 
     name: ClassVar[str]
     stage: ClassVar[Stage]
     summary: ClassVar[str]
     formula: ClassVar[str]
-    references: ClassVar[tuple[str, ...]]
-    validity: ClassVar[str]
+    references: ClassVar[tuple[str, ...]] = ()
+    validity: ClassVar[str] = ""
     tags: ClassVar[frozenset[str]] = frozenset()
     needs: ClassVar[Needs] = Needs()
     order: ClassVar[int] = 0
+    early: ClassVar[frozenset[str]] = frozenset()
+    """Those of `EARLY` that `apply` returns. They depend on the effect's parameters alone."""
     case: ClassVar[ReferenceCase]
 
     @abstractmethod
@@ -114,8 +130,28 @@ class Effect(ABC):
         """Further named numbers that follow from the parameters (reported with error bars, never fitted)."""
         return {}
 
+    def missing(
+        self, vehicle: Any, sensors: Collection[str], columns: Collection[str] | None = None
+    ) -> tuple[str, ...]:
+        """What the effect needs and is not there, in words; empty where it can be in a model.
+
+        `sensors` are the names of the model's sensors, `columns` those of the log (None: not asked).
+        """
+        needs = self.needs
+        out = [f"column {c}" for c in needs.columns if columns is not None and c not in columns]
+        out += [f"{fact} in the vehicle file" for fact in needs.vehicle if _fact(vehicle, fact) is None]
+        either = [group for group in (needs.sensors, needs.other_sensors) if group and not set(group) & set(sensors)]
+        return (*out, *(f"sensor {' or '.join(group)}" for group in either))
+
     def __repr__(self) -> str:
         return f"<effect {self.name}>"
+
+
+def _fact(vehicle: Any, dotted: str) -> Any:
+    """A fact of the vehicle by its dotted name, None where it is not stated."""
+    for part in dotted.split("."):
+        vehicle = getattr(vehicle, part, None)
+    return vehicle
 
 
 def vector_parameters(

@@ -82,12 +82,11 @@ class PhysicsModel:
                 if e.stage in ("command", "rotor"):
                     raise ModelError(f"effect {e.name} shapes the command, which --input speed does not use")
         for e in self.effects:
-            for fact in e.needs.vehicle:
-                if getattr(self.vehicle, fact, None) is None:
-                    raise ModelError(f"effect {e.name} needs {fact} in the vehicle file", fix=f"add {fact}")
-            have = {s.name for s in self.sensors}
-            if e.needs.sensors and not have & set(e.needs.sensors):
-                raise ModelError(f"effect {e.name} needs a sensor that the log lacks: {' or '.join(e.needs.sensors)}")
+            if missing := e.missing(self.vehicle, {s.name for s in self.sensors}):
+                raise ModelError(f"effect {e.name} needs {', '.join(missing)}", fix="add it, or leave the effect out")
+        lags = [e.name for e in self.effects if "lag" in e.early]
+        if len(lags) > 1:
+            raise ModelError(f"two lags of the rotors: {', '.join(lags)}", fix="keep one of them")
         ordered = tuple(sorted(self.effects, key=lambda e: (list(SLOTS).index(e.stage), e.order, e.name)))
         object.__setattr__(self, "effects", ordered)
 
@@ -124,7 +123,10 @@ class PhysicsModel:
 
     @cached_property
     def _has_lag(self) -> bool:
-        return any(e.name == "motor_lag" for e in self.effects)
+        return self._has("lag")
+
+    def _has(self, slot: str) -> bool:
+        return any(slot in e.early for e in self.effects)
 
     @cached_property
     def _needs_vbat(self) -> bool:
@@ -214,7 +216,7 @@ class PhysicsModel:
         }
         # Gravity enters the velocity equation in body axes through the attitude.
         rates["velocity"] = flow.rotation.T @ (rates["velocity"] + ca.vertcat(0, 0, -1)) + flow.velocity * 0
-        felt = self._measure(flow, sf, p)
+        felt = ca.vertcat(*self._measure(flow, sf, p).values())
         kept: set[str] = set()
         frontier = [felt]
         while frontier:
@@ -248,10 +250,12 @@ class PhysicsModel:
     def window(self) -> tuple[int, int]:
         """Earlier commands for the longest delay, one later command for a linear hold."""
         past = 0
-        for e in self.effects:
-            for d in e.parameters(self.vehicle):
-                if e.name == "command_delay" and d.name == "d":
-                    past = max(past, math.ceil(d.upper / self.sample_time + 1e-9))
+        if self._has("delay") or self._has("imu_delay"):
+            upper = {f"{e.name}.{d.name}": d.upper for e in self.effects for d in e.parameters(self.vehicle)}
+            longest = float(self._early("delay", upper) + self._early("imu_delay", upper))
+            if not math.isfinite(longest):
+                raise ModelError("a delay without an upper bound", fix="declare the parameter with a finite upper")
+            past = math.ceil(longest / self.sample_time + 1e-9)
         # Measured rotor speeds run smoothly between samples, whatever the command does.
         return past, int(self.vehicle.actuator.hold == "linear" or self.input == "speed")
 
@@ -266,11 +270,13 @@ class PhysicsModel:
     def _stage(self, stage: str) -> Iterable[Effect]:
         return (e for e in self.effects if e.stage == stage)
 
-    def _delay(self, values: Mapping[str, Expr]) -> Expr:
+    def _early(self, slot: str, values: Mapping[str, Expr]) -> Expr:
+        """Sum over the effects of a slot that depends on parameters alone (`EARLY`)."""
         total: Expr = 0.0
         idle = Flow(vehicle=self.vehicle, vbat=1.0, command=ca.DM.zeros(self._n))
-        for e in self._stage("command"):
-            total = total + e.apply(idle, self._own(e, values)).get("delay", 0.0)
+        for e in self.effects:
+            if slot in e.early:
+                total = total + e.apply(idle, self._own(e, values))[slot]
         return total
 
     def _bracket(self, window: Expr, r: Expr) -> tuple[Expr, Expr, Expr]:
@@ -291,7 +297,7 @@ class PhysicsModel:
             whole = whole + there * m
         return older, newer, r - whole
 
-    def _held_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> tuple[Expr, Expr, Expr]:
+    def _held_command(self, window: Expr, delay: Expr, dt: Expr) -> tuple[Expr, Expr, Expr]:
         """(u_a, u_b, s): the delayed record holds u_a over [t_k, t_k + s) and u_b over [t_k + s, t_k+1).
 
         Exact for a held record. Of a record that runs linearly the value at the middle of the step is taken as both.
@@ -299,20 +305,20 @@ class PhysicsModel:
         past, future = self.window
         if past == 0 and future == 0:
             return window, window, 0.0
-        older, newer, share = self._bracket(window, self._delay(values) / dt - 0.5 * future)
+        older, newer, share = self._bracket(window, delay / dt - 0.5 * future)
         rest = window[self._n :, past]
         if future:
             middle = ca.vertcat(share * older + (1 - share) * newer, rest)
             return middle, middle, 0.0
         return ca.vertcat(older, rest), ca.vertcat(newer, rest), share * dt
 
-    def _sampled_command(self, window: Expr, values: Mapping[str, Expr], dt: Expr) -> Expr:
+    def _sampled_command(self, window: Expr, delay: Expr, dt: Expr) -> Expr:
         """The delayed command that a sample sees: the mean over the coming step (held record), else the value now."""
         past, future = self.window
         if future:
-            older, newer, share = self._bracket(window, self._delay(values) / dt)
+            older, newer, share = self._bracket(window, delay / dt)
             return ca.vertcat(share * older + (1 - share) * newer, window[self._n :, past])
-        u_a, u_b, switch = self._held_command(window, values, dt)
+        u_a, u_b, switch = self._held_command(window, delay, dt)
         return u_a + (u_b - u_a) * (1 - switch / dt)
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
@@ -332,11 +338,7 @@ class PhysicsModel:
 
     def _lag(self, values: Mapping[str, Expr]) -> Expr:
         """Time constant; it may be zero (divide by `_positive` of it)."""
-        for e in self._stage("rotor"):
-            slots = e.apply(Flow(vehicle=self.vehicle, vbat=1.0, command=ca.DM.zeros(self._n)), self._own(e, values))
-            if "lag" in slots:
-                return slots["lag"]
-        raise ModelError("the model has no rotor lag")
+        return self._early("lag", values)
 
     def _rigid_body(
         self, x: Mapping[str, Expr], nu: Expr, nu_rate: Expr, u: Expr, p: Expr, w: Expr
@@ -364,7 +366,8 @@ class PhysicsModel:
         torque = _polynomial(nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
         flow = replace(
             flow, nu=nu, nu_rate=nu_rate, rotor_speed=vehicle.omega_scale * nu, thrust=thrust,
-            velocity=rotation.T @ x["velocity"], velocity_world=x["velocity"], wind=ca.DM.zeros(3), omega=x["rate"],
+            velocity=rotation.T @ x["velocity"], velocity_world=x["velocity"], omega=x["rate"],
+            wind=rotation.T @ self._early("wind", values) if self._has("wind") else ca.DM.zeros(3),
             rotation=rotation, quaternion=x["attitude"], position=x["position"], arms=arms, mass=mass,
             center_of_mass=com,
         )  # fmt: skip
@@ -396,14 +399,15 @@ class PhysicsModel:
             alpha = ca.inv(inertia) @ (moment - gyroscopic)
         return force / mass, alpha, replace(flow, angular_acceleration=alpha)
 
-    def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> Expr:
+    def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> dict[str, Expr]:
+        """Readings by sensor name, after the chain of the sensor stage."""
         values = self._values(p)
         readings = {s.name: s.reading(flow, specific_force) for s in self.sensors}
         flow = replace(flow, acceleration_world=flow.rotation @ specific_force + self._gravity())
         for e in self._stage("sensor"):
             slots = e.apply(replace(flow, measured=readings), self._own(e, values))
             readings = {k: slots.get(k, v) for k, v in readings.items()}
-        return ca.vertcat(*(readings[s.name] for s in self.sensors))
+        return readings
 
     # ---------------------------------------------------------------- vectors
 
@@ -455,21 +459,46 @@ class PhysicsModel:
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        return self._outputs(x, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
+        return self._outputs(x, u, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
-    def _outputs(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
+    def _outputs(self, x: Expr, u: Expr, u_imu: Expr, p: Expr, w: Expr) -> Expr:
+        """Outputs at the command u; `u_imu` is what a late gyro and accelerometer still see of it."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
         nu_rate = (steady - nu) / _positive(self._lag(values)) if self._has_lag else steady * 0
         sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
-        return self._measure(flow, sf, p)
+        readings = self._measure(flow, sf, p)
+        if self._has("imu_delay"):
+            late = self._measure(*self._earlier(blocks, nu, u_imu, p, w), p)
+            readings |= {k: late[k] for k in ("gyro", "accelerometer") if k in readings}
+        return ca.vertcat(*(readings[s.name] for s in self.sensors))
+
+    def _earlier(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr, w: Expr) -> tuple[Flow, Expr]:
+        """(flow, specific force) as late gyro and accelerometer see them, one straight step back from the present.
+
+        u is the command of that time. A lag shorter than the delay counts as long as it: the straight line through a
+        rotor that has long settled would leave the range of its speeds.
+        """
+        values = self._values(p)
+        back = self._early("imu_delay", values)
+        steady = self._steady_speed(u, values)
+        nu_rate = steady * 0
+        if self._has_lag:
+            nu_rate = (steady - nu) / ca.fmax(_positive(self._lag(values)), back)
+        else:
+            nu = steady
+        d = self._derivative(blocks, nu, nu_rate, u, p, w)
+        before = {b: blocks[b] - back * d[b] for b in blocks}
+        before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * blocks["rate"]))
+        sf, _, flow = self._rigid_body(before, nu - back * nu_rate, nu_rate, u, p, w)
+        return flow, sf
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample: rotors exactly, rigid body by Runge-Kutta 4, the quaternion brought back to unit length."""
         blocks, nu = self._split(x)
         values = self._values(p)
-        u_a, u_b, switch = self._held_command(window, values, dt)
+        u_a, u_b, switch = self._held_command(window, self._early("delay", values), dt)
         w = self._noise(w)
         first, second = self._steady_speed(u_a, values), self._steady_speed(u_b, values)
         u = u_b
@@ -493,7 +522,13 @@ class PhysicsModel:
 
         Rotors with a lag show their speed at t_k; rotors without one that of the step that begins.
         """
-        return self._outputs(x, self._sampled_command(window, self._values(p), dt), p, self._noise(w))
+        values = self._values(p)
+        delay = self._early("delay", values)
+        u = self._sampled_command(window, delay, dt)
+        u_imu = u
+        if self._has("imu_delay"):
+            u_imu = self._sampled_command(window, delay + self._early("imu_delay", values), dt)
+        return self._outputs(x, u, u_imu, p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""

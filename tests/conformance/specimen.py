@@ -81,9 +81,9 @@ def random_state(model, rng) -> np.ndarray:
 
 
 def random_window(model, rng) -> np.ndarray:
-    """Commands in mid range and a voltage near the nominal one, for every sample of the model's window."""
+    """Commands near both limits too, and a voltage near the nominal one, for every sample of the model's window."""
     past, future = model.window
-    window = rng.uniform(0.35, 0.85, size=(len(model.inputs), past + 1 + future))
+    window = rng.uniform(0.02, 0.98, size=(len(model.inputs), past + 1 + future))
     if "vbat" in model.inputs:
         window[model.inputs["vbat"]] = rng.uniform(3.3, 4.1)
     return window

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import math
 import re
+from operator import attrgetter
 from typing import get_args
 
 import pytest
@@ -13,7 +14,7 @@ from specimen import crooked, effects_under_test, model_with
 from units import dimensions
 
 from greybox.errors import ModelError, UnknownNameError
-from greybox.model.effect import SLOTS, Effect, Stage
+from greybox.model.effect import EARLY, SLOTS, Effect, Stage
 from greybox.model.effects import CATALOGUE, effect_by_name
 from greybox.model.sensors import SENSORS
 
@@ -64,13 +65,15 @@ def test_parameters_are_declared_with_unit_null_and_meaning(effect):
 @every_effect
 def test_tags_and_needs_are_known_words(effect):
     assert effect.tags <= TAGS
-    assert set(effect.needs.sensors) <= {s.name for s in SENSORS}
-    assert all(hasattr(crooked(), fact) for fact in effect.needs.vehicle)
+    assert {*effect.needs.sensors, *effect.needs.other_sensors} <= {s.name for s in SENSORS}
+    assert set(effect.needs.effects) <= {e.name for e in CATALOGUE} - {effect.name}
+    assert all(attrgetter(fact)(crooked()) is not None for fact in effect.needs.vehicle)
 
 
 @every_effect
 def test_slots_belong_to_the_stage(effect):
     assert set(effect.case.expected) <= SLOTS[effect.stage]
+    assert effect.early == set(effect.case.expected) & EARLY
 
 
 @every_effect

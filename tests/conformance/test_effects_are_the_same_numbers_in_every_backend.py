@@ -48,7 +48,7 @@ def test_sx_and_mx_agree(effect, which):
 @pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 def test_compiled_c_runs_the_same_filter_as_the_virtual_machine(effect):
     # The IMU feels every effect; what else an effect needs comes along. Fewer sensors compile faster.
-    names = {"gyro", "accelerometer", *effect.needs.sensors}
+    names = {"gyro", "accelerometer", *effect.needs.sensors, *effect.needs.other_sensors}
     model = replace(model_with(effect), sensors=tuple(s for s in SENSORS if s.name in names))
     rng = np.random.default_rng(2)
     p = parameter_vector(model, at_random(effect, crooked(), rng))

@@ -55,11 +55,15 @@ def own_values(effect, rng):
 
 
 def wrench(slots, arms):
-    """(force, moment) about the centre of mass of what a wrench effect returns, in NumPy."""
+    """(force, moment) about the centre of mass of what a thrust or wrench effect adds, in NumPy."""
     force = np.zeros(3) + np.ravel(ca.DM(slots.get("force", np.zeros(3))).full())
     moment = np.zeros(3) + np.ravel(ca.DM(slots.get("moment", np.zeros(3))).full())
+    hubs = np.zeros((arms.shape[1], 3))
     if "hub_force" in slots:
-        hubs = ca.DM(slots["hub_force"]).full().T
+        hubs = hubs + ca.DM(slots["hub_force"]).full().T
+    if "thrust_increment" in slots:
+        hubs[:, 2] += ca.DM(slots["thrust_increment"]).full().ravel()
+    if hubs.any():
         force = force + hubs.sum(axis=0)
         moment = moment + np.cross(arms.full().T, hubs).sum(axis=0)
     return force, moment
@@ -136,7 +140,7 @@ def test_linearity_is_claimed_wherever_it_holds():
         p = ca.SX.sym("p", len(names))
         slots = effect.apply(random_flow(rng), {n: p[i] for i, n in enumerate(names)})
         bent = any(not ca.is_linear(ca.vec(ca.SX(v)), p) for v in slots.values())
-        trivial = effect.stage in ("command", "rotor") and set(slots) <= {"delay", "lag"}
+        trivial = set(slots) <= {"delay", "lag", "imu_delay"}
         if not bent and not trivial and "linear-in-parameters" not in effect.tags:
             missed.append(effect.name)
     assert not missed, f"say linear-in-parameters for {missed}"

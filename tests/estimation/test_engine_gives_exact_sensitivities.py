@@ -66,6 +66,7 @@ class Scene:
         self.p = values(model)
         ne, nd = len(model.innovations), len(model.error_states)
         self.u = rng.uniform(0.45, 0.6, size=(N, len(model.inputs)))
+        self.u[[6, 12], [0, 1]] = 0.005, 0.995  # both limits of the command are felt
         if "vbat" in model.inputs:
             self.u[:, model.inputs["vbat"]] = rng.uniform(10.5, 12, size=N)
         x0, _ = model.initial_state({})

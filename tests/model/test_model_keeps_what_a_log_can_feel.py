@@ -81,7 +81,7 @@ def test_effects_whose_needs_are_not_met_are_refused():
     bare = replace(vehicle_of(X250), nominal_voltage=None)
     with pytest.raises(ModelError, match="battery_sag needs nominal_voltage"):
         PhysicsModel(vehicle=bare).with_effect("battery_sag")
-    with pytest.raises(ModelError, match="accelerometer_bias needs a sensor"):
+    with pytest.raises(ModelError, match="accelerometer_bias needs sensor accelerometer"):
         model_of(X250, sensors=sensors("gyro")).with_effect("accelerometer_bias")
     with pytest.raises(ModelError, match="motor_lag shapes the command"):
         PhysicsModel(vehicle=vehicle_of(X250), input="speed").with_effect("motor_lag")

@@ -5,39 +5,63 @@ from __future__ import annotations
 from greybox.errors import UnknownNameError
 from greybox.model.effect import Effect
 from greybox.model.effects.accelerometer_bias import AccelerometerBias
+from greybox.model.effects.accelerometer_lever_arm import AccelerometerLeverArm
+from greybox.model.effects.accelerometer_scale import AccelerometerScale
+from greybox.model.effects.axial_inflow import AxialInflow
 from greybox.model.effects.battery_sag import BatterySag
 from greybox.model.effects.blade_flapping import BladeFlapping
 from greybox.model.effects.center_of_mass_offset import CenterOfMassOffset
 from greybox.model.effects.command_delay import CommandDelay
+from greybox.model.effects.command_saturation import CommandSaturation
 from greybox.model.effects.constant_force import ConstantForce
+from greybox.model.effects.ground_effect import GroundEffect
 from greybox.model.effects.gyro_bias import GyroBias
+from greybox.model.effects.gyro_scale import GyroScale
 from greybox.model.effects.imu_misalignment import ImuMisalignment
 from greybox.model.effects.mocap_misalignment import MocapMisalignment
 from greybox.model.effects.motor_lag import MotorLag
+from greybox.model.effects.parasitic_drag import ParasiticDrag
+from greybox.model.effects.payload_mass import PayloadMass
 from greybox.model.effects.pose_delay import PoseDelay
+from greybox.model.effects.products_of_inertia import ProductsOfInertia
 from greybox.model.effects.rotational_damping import RotationalDamping
 from greybox.model.effects.rotor_asymmetry import RotorAsymmetry
 from greybox.model.effects.rotor_drag import RotorDrag
 from greybox.model.effects.rotor_gyroscopic import RotorGyroscopic
+from greybox.model.effects.sensor_delay import SensorDelay
+from greybox.model.effects.steady_wind import SteadyWind
 from greybox.model.effects.thrust_curve import ThrustCurve
+from greybox.model.effects.translational_lift import TranslationalLift
 
 CATALOGUE: tuple[Effect, ...] = (
     CommandDelay(),
+    CommandSaturation(),
     ThrustCurve(),
     MotorLag(),
     BatterySag(),
     RotorAsymmetry(),
+    AxialInflow(),
+    TranslationalLift(),
+    GroundEffect(),
     CenterOfMassOffset(),
+    ProductsOfInertia(),
+    PayloadMass(),
     RotorDrag(),
+    ParasiticDrag(),
+    SteadyWind(),
     BladeFlapping(),
     RotationalDamping(),
     RotorGyroscopic(),
     ConstantForce(),
+    AccelerometerLeverArm(),
     ImuMisalignment(),
     PoseDelay(),
     MocapMisalignment(),
+    AccelerometerScale(),
+    GyroScale(),
     AccelerometerBias(),
     GyroBias(),
+    SensorDelay(),
 )
 
 

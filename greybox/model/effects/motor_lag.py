@@ -22,6 +22,7 @@ class MotorLag(Effect):
         "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors Subject to Motor Delays",
     )
     validity = "one time constant for speeding up and slowing down"
+    early = frozenset({"lag"})
     case = ReferenceCase(
         parameters={"tau": 0.05}, flow={}, expected={"lag": 0.05}, working="the lag is the parameter itself"
     )

@@ -1,0 +1,47 @@
+"""steady_wind: the air moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Expr
+
+
+class SteadyWind(Effect):
+    """Every airspeed is R^T (v - w), w constant in the world during a flight.
+
+    Wind has no force of its own: without an effect that looks at the airspeed nothing feels it.
+    """
+
+    name = "steady_wind"
+    stage = "wrench"
+    summary = "constant wind, felt through the drag terms"
+    formula = "v_a,i = R^T (v - w) + omega x r_i"
+    references = (
+        "Folk, Paulos and Kumar 2023, RotorPy: a Python-based multirotor simulator with aerodynamics, arXiv:2306.04485",
+    )
+    validity = "constant over a flight, the same at every height"
+    tags = frozenset({"linear-in-parameters"})
+    needs = Needs(effects=("rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift"))
+    early = frozenset({"wind"})
+    case = ReferenceCase(
+        parameters={"w_x": 1.0, "w_y": -2.0, "w_z": 0.5},
+        flow={},
+        expected={"wind": (1.0, -2.0, 0.5)},
+        working="the parameters are the wind itself, in world axes",
+    )
+
+    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+        """w_x, w_y, w_z [m/s] world; scope flight."""
+        return vector_parameters(
+            "w_", "xyz", unit="m/s", scale=0.5, meaning="wind", scope="flight", lower=-30.0, upper=30.0
+        )
+
+    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
+        """Winds add; the model knows the total before it asks for any airspeed."""
+        return {"wind": ca.vertcat(p["w_x"], p["w_y"], p["w_z"])}
