@@ -6,6 +6,9 @@ VENV ?= .venv
 OUT ?= demo_out
 BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
+# Training a GP needs PyTorch. Its CPU build is small, but there for Python 3.11 only; elsewhere pip would fetch CUDA, and
+# the tests that train are skipped.
+EXTRAS := $(shell $(PYTHON) -c 'import sys; print("test,dev,gp" if sys.version_info < (3, 12) else "test,dev")')
 JOBS ?= 2
 
 # Small matrices: one BLAS thread is faster than many, and the results do not depend on the machine.
@@ -17,7 +20,8 @@ export MKL_NUM_THREADS ?= 1
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
+	$(if $(findstring gp,$(EXTRAS)),$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $(STAMP)
 
 install: $(STAMP)
