@@ -252,7 +252,9 @@ class PhysicsModel:
         past = 0
         if self._has("delay") or self._has("imu_delay"):
             upper = {f"{e.name}.{d.name}": d.upper for e in self.effects for d in e.parameters(self.vehicle)}
-            longest = float(self._early("delay", upper) + self._early("imu_delay", upper))
+            longest = float(self._early("delay", upper))
+            if self._has("imu_delay"):
+                longest += max(float(self._early("imu_delay", upper)), self.sample_time)
             if not math.isfinite(longest):
                 raise ModelError("a delay without an upper bound", fix="declare the parameter with a finite upper")
             past = math.ceil(longest / self.sample_time + 1e-9)
@@ -459,10 +461,10 @@ class PhysicsModel:
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        return self._outputs(x, u, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
+        return self._outputs(x, u, (u, u), p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
-    def _outputs(self, x: Expr, u: Expr, u_imu: Expr, p: Expr, w: Expr) -> Expr:
-        """Outputs at the command u; `u_imu` is what a late gyro and accelerometer still see of it."""
+    def _outputs(self, x: Expr, u: Expr, u_imu: tuple[Expr, Expr], p: Expr, w: Expr) -> Expr:
+        """Outputs at the command u; `u_imu` are the commands for a late gyro and accelerometer (see `_earlier`)."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
@@ -474,24 +476,26 @@ class PhysicsModel:
             readings |= {k: late[k] for k in ("gyro", "accelerometer") if k in readings}
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
-    def _earlier(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr, w: Expr) -> tuple[Flow, Expr]:
+    def _earlier(
+        self, blocks: Mapping[str, Expr], nu: Expr, u: tuple[Expr, Expr], p: Expr, w: Expr
+    ) -> tuple[Flow, Expr]:
         """(flow, specific force) as late gyro and accelerometer see them, one straight step back from the present.
 
-        u is the command of that time. A lag shorter than the delay counts as long as it: the straight line through a
-        rotor that has long settled would leave the range of its speeds.
+        u are the commands (at that time, in the mean since then). A lag shorter than the delay counts as long as it: the
+        straight line through a rotor that has long settled would leave the range of its speeds.
         """
         values = self._values(p)
         back = self._early("imu_delay", values)
-        steady = self._steady_speed(u, values)
-        nu_rate = steady * 0
+        then, since = (self._steady_speed(v, values) for v in u)
         if self._has_lag:
-            nu_rate = (steady - nu) / ca.fmax(_positive(self._lag(values)), back)
+            nu_rate = (since - nu) / ca.fmax(_positive(self._lag(values)), back)
+            since, then = nu, nu - back * nu_rate
         else:
-            nu = steady
-        d = self._derivative(blocks, nu, nu_rate, u, p, w)
+            nu_rate = then * 0
+        d = self._derivative(blocks, since, nu_rate, u[1], p, w)
         before = {b: blocks[b] - back * d[b] for b in blocks}
         before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * blocks["rate"]))
-        sf, _, flow = self._rigid_body(before, nu - back * nu_rate, nu_rate, u, p, w)
+        sf, _, flow = self._rigid_body(before, then, nu_rate, u[0], p, w)
         return flow, sf
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
@@ -525,9 +529,12 @@ class PhysicsModel:
         values = self._values(p)
         delay = self._early("delay", values)
         u = self._sampled_command(window, delay, dt)
-        u_imu = u
+        u_imu = (u, u)
         if self._has("imu_delay"):
-            u_imu = self._sampled_command(window, delay + self._early("imu_delay", values), dt)
+            back = self._early("imu_delay", values)
+            # A sample's worth of the record, in the middle of the delay but not from the step that only begins.
+            middle = ca.fmax(dt, 0.5 * (back + dt))
+            u_imu = tuple(self._sampled_command(window, delay + b, dt) for b in (back, middle))
         return self._outputs(x, u, u_imu, p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
