@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import DataError
+from greybox.estimation.covariance import is_coloured
 from greybox.estimation.linear.order import OrderChoice, choose_order
 from greybox.estimation.linear.pem import Settings, Solution, Status
 from greybox.estimation.linear.records import Record, Scaling, prepare
+from greybox.estimation.linear.robust import correlation_window, score_covariance
 from greybox.estimation.linear.search import Found, Options, find, refine
 from greybox.estimation.linear.uncertainty import Uncertainty, rescaled, uncertainty
 from greybox.estimation.linear.varx import estimate_delays
@@ -28,10 +30,14 @@ class LinearFit:
 
     `criterion` is -2 log likelihood in the units of the channels, `parameters` the number of free directions (initial
     states and offsets not counted). `x0` and `offsets` belong to the records, in state coordinates and channel units.
+    `uncertainty` is the robust one where the innovations are `coloured` and the data are long enough for it, else `fisher`.
     """
 
     model: LinearModel
     uncertainty: Uncertainty
+    fisher: Uncertainty
+    robust: Uncertainty | None
+    coloured: bool
     status: Status
     iterations: int
     decrement: float
@@ -59,6 +65,11 @@ class LinearFit:
         return self.status in (Status.CONVERGED, Status.FLAT)
 
     @property
+    def errors(self) -> str:
+        """Which standard errors `uncertainty` holds: "fisher" or "robust"."""
+        return "fisher" if self.robust is None else "robust"
+
+    @property
     def log_det(self) -> float:
         """log det Lambda of the training innovations, channel units."""
         return float(np.linalg.slogdet(self.model.noise)[1])
@@ -72,11 +83,12 @@ class LinearFit:
             f"{self.status.value} ({self.iterations} iterations, start: {self.start})",
             f"-2 log likelihood {self.criterion:.2f}, log det Lambda {self.log_det:.4f}",
         ]
-        for value, cov in zip(poles.value, poles.covariance):
+        for value, cov, sure in zip(poles.value, poles.covariance, self.uncertainty.well_determined()):
             if value.imag >= 0:
                 std = np.sqrt(np.diag(cov))
                 im = f" +- {value.imag:.5f}j (std {std[1]:.5f})" if value.imag > 0 else ""
-                lines.append(f"pole {value.real:+.5f} (std {std[0]:.5f}){im}")
+                weak = "" if sure else "  weak or crowded mode: the error is larger than that"
+                lines.append(f"pole {value.real:+.5f} (std {std[0]:.5f}){im}{weak}")
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
@@ -154,18 +166,21 @@ def _assemble(
     offsets = np.array([v.offset for v in s.nuisances]) * sy + scaling.output_offset
     noise = s.evaluation.noise * np.outer(sy, sy)
     free = s.tangent.shape[1]
-    known, rank = uncertainty(s.system, s.information, s.tangent)
+    fisher, rank = uncertainty(s.system, s.information, s.tangent)
+    innovations = tuple(np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(scaled, s.evaluation.predictions))
+    coloured = is_coloured(list(innovations))
+    scores = score_covariance(s, scaled, options.settings, correlation_window(innovations)) if coloured else None
+    robust = None if scores is None else uncertainty(s.system, s.information, s.tangent, scores)[0]
     # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the unbiased scale.
-    p = len(outputs)
     seen = sum(int(np.isfinite(r.y).sum()) for r in scaled)
     unbiased = seen / max(seen - free, 1)
-    known = Uncertainty(system=known.system, factor=known.factor * np.sqrt(unbiased))
-    known = rescaled(known, su, sy)
+    fisher = _in_units(fisher, unbiased, su, sy)
+    robust = None if robust is None else _in_units(robust, unbiased, su, sy)
     jumps = 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled))
     status = s.status if options.polish else Status.NOT_RUN
     model = LinearModel(
         name=name,
-        matrices=known.system,
+        matrices=fisher.system,
         noise=(noise + noise.T) / 2,
         dt=dt,
         inputs=inputs,
@@ -175,10 +190,12 @@ def _assemble(
         output_offset=weights @ offsets / weights.sum(),
         comment=f"{samples} samples, {len(scaled)} records",
     )
-    innovations = tuple(np.where(np.isfinite(r.y), q.e, np.nan) * sy for r, q in zip(scaled, s.evaluation.predictions))
     return LinearFit(
         model=model,
-        uncertainty=known,
+        uncertainty=robust or fisher,
+        fisher=fisher,
+        robust=robust,
+        coloured=coloured,
         status=status,
         iterations=s.iterations,
         decrement=s.decrement,
@@ -188,17 +205,28 @@ def _assemble(
         samples=samples,
         start=found.start,
         singular_values=found.singular_values,
-        innovations=innovations,
+        innovations=tuple(e * sy for e in innovations),
         x0=tuple(v.x0 for v in s.nuisances),
         offsets=tuple(offsets),
         records=tuple(r.name for r in scaled),
         order_choice=choice,
-        warnings=tuple(_warnings(s, rank, free, scaled, model, p)),
+        warnings=tuple(_warnings(s, rank, free, scaled, model, coloured and robust is None)),
     )
 
 
-def _warnings(s: Solution, rank: int, free: int, scaled: Sequence[Record], model: LinearModel, p: int) -> list[str]:
+def _in_units(known: Uncertainty, variance_factor: float, su: FloatArray, sy: FloatArray) -> Uncertainty:
+    return rescaled(Uncertainty(system=known.system, factor=known.factor * np.sqrt(variance_factor)), su, sy)
+
+
+def _warnings(
+    s: Solution, rank: int, free: int, scaled: Sequence[Record], model: LinearModel, boastful: bool
+) -> list[str]:
     out: list[str] = []
+    if boastful:
+        out.append(
+            "the innovations are coloured and the records too short (or too long to hold) for robust standard errors: "
+            "those given are too small"
+        )
     if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
         out.append(s.status.value)
     if rank < free:
@@ -241,7 +269,16 @@ def to_dict(fit: LinearFit) -> dict[str, Any]:
         "minus_two_log_likelihood": fit.criterion,
         "log_det_lambda": fit.log_det,
         "delays": list(fit.model.delays),
-        "poles": _complex_rows(poles.value, poles.covariance),
+        "standard_errors": fit.errors,
+        "innovations_coloured": fit.coloured,
+        "poles": [
+            {**row, "strength": float(strength), "well_determined": bool(sure)}
+            for row, strength, sure in zip(
+                _complex_rows(poles.value, poles.covariance),
+                fit.uncertainty.pole_strengths(),
+                fit.uncertainty.well_determined(),
+            )
+        ],
         "noise_model_zeros": _complex_rows(limits.value, limits.covariance),
         "singular_values": fit.singular_values,
         "records": [{"name": n, "x0": x0, "offset": offset} for n, x0, offset in zip(fit.records, fit.x0, fit.offsets)],

@@ -121,7 +121,8 @@ def evaluate(
             return Evaluation(np.inf, noise, predictions, modes)
         noise = total / used
     sign, value = np.linalg.slogdet(noise)
-    if sign <= 0 or not np.isfinite(value):
+    # A correlation matrix of determinant below exp(-30): an output is a combination of others, up to rounding.
+    if sign <= 0 or not np.isfinite(value) or value - np.log(np.diag(noise)).sum() < -30.0:
         return Evaluation(np.inf, noise, predictions, modes)
     cost = 0.0
     for prediction, record in zip(predictions, records):

@@ -14,7 +14,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from greybox.model.matrices import Matrices
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
+
+STRONG = 25.0
+"""Strength of a mode from which the standard error of its pole is believed: about 5 standard errors of the residue."""
+CROWDED = 0.1
+"""Largest share of the distance to the next pole that a standard error may have to be believed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +64,55 @@ class Uncertainty:
     def poles(self) -> ComplexEstimate:
         """Eigenvalues of A with covariances: d lambda = w' dA v / w' v (Golub and Van Loan 2013, section 7.2.2)."""
         return self._eigenvalues(self.system.a, "a")
+
+    def pole_strengths(self) -> FloatArray:
+        """Wald statistic per degree of freedom (n,) of the hypothesis that a mode is not there, in the order of `poles`.
+
+        The mode of a pole enters by its residue R = C v w' [B, K]; strength is r' cov(r)^+ r over the rank of cov(r), r
+        the entries of R (real and imaginary for a complex pole). About 1 is noise.
+        """
+        n, m, p = self.system.sizes
+        values, left, right = sla.eig(self.system.a, left=True, right=True)
+        scale = np.einsum("ai,ai->i", left.conj(), right)
+        drive = np.hstack([self.system.b, self.system.k])
+        parts = [_split(s, (n, m, p)) for s in self.factor.T]
+        out = []
+        for i in np.argsort(np.round(values, 12)):
+            others = np.delete(np.arange(n), i)
+            gaps = values[i] - values[others]
+            gaps = np.where(np.abs(gaps) < 1e-12, 1e-12, gaps)
+            rest = (right[:, others] / (scale[others] * gaps)) @ left[:, others].conj().T
+            mode = np.outer(right[:, i], left[:, i].conj()) / scale[i]
+            rows = []
+            for da, db, dc, _, dk in parts:
+                turned = rest @ da @ mode + mode @ da @ rest
+                change = dc @ mode @ drive + self.system.c @ (turned @ drive + mode @ np.hstack([db, dk]))
+                rows.append(change.ravel())
+            residue, spread = (self.system.c @ mode @ drive).ravel(), np.array(rows).T
+            if values[i].imag == 0.0:
+                residue, spread, freedom = residue.real, spread.real, m + 2 * p - 1
+            else:
+                residue = np.concatenate([residue.real, residue.imag])
+                spread, freedom = np.vstack([spread.real, spread.imag]), 2 * (m + 2 * p - 1)
+            u, s, _ = np.linalg.svd(spread, full_matrices=False)
+            keep = s[:freedom] > 1e-9 * max(float(s.max(initial=0.0)), 1e-300)
+            out.append(
+                float((((u[:, :freedom].T @ residue)[keep] / s[:freedom][keep]) ** 2).sum()) / max(keep.sum(), 1)
+            )
+        return np.array(out)
+
+    def well_determined(self) -> BoolArray:
+        """Whether the standard error of each pole (order of `poles`) can be believed: booleans (n,).
+
+        A weak mode (strength below `STRONG`) or one whose neighbour is nearer than ten of its standard errors has a
+        likelihood that is no parabola: its interval is too short. `pole_profile` has intervals for those.
+        """
+        poles = self.poles()
+        distance = np.abs(poles.value[:, None] - poles.value[None])
+        np.fill_diagonal(distance, np.inf)
+        std = np.sqrt(np.trace(poles.covariance, axis1=1, axis2=2))
+        crowded = std > CROWDED * distance.min(axis=1, initial=np.inf)
+        return np.asarray((self.pole_strengths() >= STRONG) & ~crowded)
 
     def predictor_poles(self) -> ComplexEstimate:
         """Eigenvalues of A - KC, the zeros of the noise model."""
@@ -152,17 +206,23 @@ class Uncertainty:
         return ComplexEstimate(value=values[order], covariance=np.array(out).reshape(-1, 2, 2))
 
 
-def uncertainty(system: Matrices, information: FloatArray, tangent: FloatArray) -> tuple[Uncertainty, int]:
-    """From J'J (d, d) along `tangent` (q, d; coordinates of `predictor.full_vector`). Also the rank of J'J.
+def uncertainty(
+    system: Matrices, information: FloatArray, tangent: FloatArray, scores: FloatArray | None = None
+) -> tuple[Uncertainty, int]:
+    """From H = J'J (d, d) along `tangent` (q, d; coordinates of `predictor.full_vector`). Also the rank of H.
 
-    Directions that the data do not see (relative eigenvalue below 1e-12) get no covariance; the rank tells how many
-    are left, and a caller must say so where it is below d.
+    The covariance is H^-1 (Fisher), or with the covariance M of the `scores` (d, d) the sandwich H^-1 M H^-1. Directions
+    that the data do not see (relative eigenvalue below 1e-12) get no covariance; the rank tells how many are left, and a
+    caller must say so where it is below d.
     """
     n, m, p = system.sizes
     scale = np.sqrt(np.maximum(np.diag(information), 1e-14 * max(float(np.diag(information).max(initial=0.0)), 1e-300)))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     keep = values > 1e-12 * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, dtype=bool)
     root = (vectors[:, keep] / np.sqrt(values[keep])) / scale[:, None]
+    if scores is not None:
+        share, turn = np.linalg.eigh(root.T @ scores @ root)
+        root = root @ turn * np.sqrt(np.maximum(share, 0.0))
     predictor = tangent @ root
     columns = []
     width, first = n + m + p, n * (n + m + p)
