@@ -19,6 +19,7 @@ _PUBLIC = {
     "read_vehicle": "greybox.model.vehicle",
     "Vehicle": "greybox.model.vehicle",
     "build_model": "greybox.model.model",
+    "load_effects": "greybox.model.effects_file",
     "PhysicsModel": "greybox.model.model",
     "StateSpaceModel": "greybox.model.dynamics",
     "Parameter": "greybox.model.parameter",
@@ -52,6 +53,7 @@ __all__ = [
     "dataset_from_arrays",
     "fit",
     "fit_report",
+    "load_effects",
     "read_log",
     "read_logs",
     "read_vehicle",
@@ -65,6 +67,7 @@ if TYPE_CHECKING:
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import Fit, fit
     from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.model import PhysicsModel, build_model
     from greybox.model.parameter import Parameter, ParameterValues

@@ -99,7 +99,10 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
     found = [Work(reason="prediction error method", text=PREDICTION_ERROR), Work(reason="framework", text=HYBRID)]
     if model.get("disturbance"):
         found.append(Work(reason="disturbance states", text=DISTURBANCE))
-    found += [Work(reason=f"effect {e}", text=r) for e in effects for r in effect_by_name(e).references]
+    own = model.get("own_effects", {})
+    for e in effects:
+        references = own[e]["references"] if e in own else effect_by_name(e).references
+        found += [Work(reason=f"effect {e}", text=r) for r in references]
     found += [Work(reason=f"data set {name}", text=reference) for name, reference in data_sets(model)]
     found.append(Work(reason="symbolic framework", text=CASADI))
     reasons: dict[str, list[str]] = {}

@@ -10,22 +10,21 @@ import math
 import sys
 import textwrap
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 from greybox.model.effect import SLOTS, Effect
 from greybox.model.effects import CATALOGUE
+from greybox.model.example import example_vehicle
 from greybox.model.parameter import Parameter
-from greybox.model.vehicle import Vehicle
 
 SCHEMA = "greybox.effects/1"
 STAGES = {
-    "command": "what becomes of the command before it reaches the motors: delays add, curves form a fixed chain",
+    "command": "what becomes of the command before it reaches the motors: a fixed chain of delay, saturation and curve",
     "rotor": "from command to rotor speed: factors multiply, then at most one lag",
     "thrust": "from rotor speed to thrust: factors multiply, then increments add",
     "body": "mass, inertia and centre of mass: one value each, changed by increments",
     "wrench": "further forces and moments on the body: they add",
-    "sensor": "what the sensors report: a fixed chain of misalignment, scale and bias",
+    "sensor": "what the sensors report: a fixed chain of lever arm, misalignment, scale, bias and delay",
 }
 
 
@@ -38,16 +37,26 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("names", nargs="*", metavar="NAME", help="only these effects (default: all)")
     p.add_argument("--stage", choices=tuple(STAGES), help="only the effects of one stage")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
+                   help="also list the effects of these Python files, which are run (only what you trust)")  # fmt: skip
     p.add_argument("--json", nargs="?", const="-", metavar="FILE", help="machine-readable, to FILE or standard output")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the chosen effects. Returns 0. Raises `UnknownNameError` for a name that is not in the catalogue."""
+    """List the chosen effects. Returns 0. Raises `UnknownNameError` for an unknown name, `ModelError` for a bad file."""
+    from greybox.errors import UnknownNameError
     from greybox.files import dump_json, write_json
-    from greybox.model.effects import effect_by_name
 
-    chosen = tuple(effect_by_name(n) for n in arguments.names) or CATALOGUE
+    known = {e.name: e for e in CATALOGUE}
+    if arguments.effects_file:
+        from greybox.model.effects_file import load_effects
+
+        known |= {e.name: e for path in arguments.effects_file for e in load_effects(path)}
+    for name in arguments.names:
+        if name not in known:
+            raise UnknownNameError("effect", name, known)
+    chosen = tuple(known[n] for n in arguments.names) or tuple(known.values())
     if arguments.stage:
         chosen = tuple(e for e in chosen if e.stage == arguments.stage)
     if arguments.json == "-":
@@ -87,6 +96,8 @@ def _plain(effect: Effect) -> dict[str, Any]:
             "columns": list(effect.needs.columns),
             "vehicle": list(effect.needs.vehicle),
             "sensors": list(effect.needs.sensors),
+            "other_sensors": list(effect.needs.other_sensors),
+            "effects": list(effect.needs.effects),
         },
         "tags": sorted(effect.tags),
         "validity": effect.validity,
@@ -125,7 +136,8 @@ def _page() -> Iterator[str]:
         "Physics that the rigid body with rotors does not have by itself and that a fit can add by name "
         "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines with others in a way "
         "that does not depend on the order in which they are listed. Generated from the declarations by "
-        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same."
+        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same. Effects of your own: "
+        "[own_effect.md](own_effect.md)."
     )
     for stage, meaning in STAGES.items():
         members = [e for e in CATALOGUE if e.stage == stage]
@@ -180,33 +192,10 @@ def _limits(p: Parameter, lower: float | None, upper: float | None) -> str:
 def _needs(effect: Effect) -> str:
     needs = effect.needs
     parts = [f"column {c}" for c in needs.columns] + [f"{fact} in the vehicle file" for fact in needs.vehicle]
-    if needs.sensors:
-        parts.append(f"sensor {' or '.join(needs.sensors)}")
+    parts += [f"sensor {' or '.join(group)}" for group in (needs.sensors, needs.other_sensors) if group]
+    if needs.effects:
+        parts.append(f"felt only with {' or '.join(needs.effects)}")
     return ", ".join(parts)
-
-
-@cache
-def example_vehicle(size: float = 1.0) -> Vehicle:
-    """A quadrotor of round numbers: names and units of parameters do not depend on more than the number of rotors."""
-    arm = 0.1 * size
-    places = ((arm, -arm, 1), (-arm, -arm, -1), (-arm, arm, 1), (arm, arm, -1))
-    return Vehicle.from_dict(
-        {
-            "schema": "greybox.vehicle/1",
-            "name": "example",
-            "mass": 1.0,
-            "inertia": [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.018]],
-            "rotor": [{"position": [x, y, 0.0], "spin": spin} for x, y, spin in places],
-            "actuator": {
-                "thrust": [0.0, 0.0, 5.0],
-                "torque": [0.0, 0.0, 0.1],
-                "speed_max": 1000.0,
-                "rotor_radius": 0.06,
-            },
-            "battery": {"nominal_voltage": 11.1},
-        },
-        where="example vehicle",
-    )
 
 
 if __name__ == "__main__":

@@ -44,6 +44,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
     p.add_argument("--effects", type=names, default=(), metavar="a,b", help="effects besides those in the vehicle file")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
+                   help="add the effects of these Python files, which are run (only what you trust)")  # fmt: skip
     p.add_argument("--disturbance", type=names, default=(), metavar="force,torque", help="disturbance states")
     p.add_argument("--per-flight", type=names, default=(), metavar="a,b", help="parameters with one value per flight")
     p.add_argument("--shared", type=names, default=(), metavar="a,b", help="parameters with one value for all flights")
@@ -87,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
     from greybox.model.model import build_model
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
@@ -114,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = build_model(
         vehicle,
         train.channels,
-        arguments.effects,
+        (*arguments.effects, *(e for path in arguments.effects_file for e in load_effects(path))),
         input=arguments.input,
         sample_time=sample_time(train),
         noncausal=train.noncausal,

@@ -25,6 +25,9 @@ def add(commands: Any) -> None:
     )
     p.add_argument("--rate", type=float, metavar="HZ", help="resample the logs (default: the model's own rate)")
     p.add_argument("--keep-ground", action="store_true", help="keep take-off and landing")
+    p.add_argument(
+        "--effects-file", nargs="+", default=[], metavar="E.py", help="Python files with the model's own effects"
+    )
     p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
     p.set_defaults(run=run)
 
@@ -47,10 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
     from greybox.data.logs import read_logs
     from greybox.files import dump_json, write_json
+    from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.validation.validate import validate
 
-    model = IdentifiedModel.load(arguments.model)
+    own = [e for path in arguments.effects_file for e in load_effects(path)]
+    model = IdentifiedModel.load(arguments.model, effects=own)
     dataset = read_logs(
         arguments.log, model.physics.vehicle, rate=arguments.rate or 1.0 / model.sample_time,
         trim=not arguments.keep_ground,

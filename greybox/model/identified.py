@@ -7,7 +7,7 @@ expressions are rebuilt exactly, estimates with covariance, noise levels, traini
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -20,7 +20,8 @@ from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
-from greybox.model.effects import effect_by_name
+from greybox.model.effect import Effect
+from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import ParameterValues
 from greybox.model.sensors import SENSORS
@@ -113,6 +114,7 @@ class IdentifiedModel:
             "name": self.name,
             "vehicle": physics.vehicle.to_dict(),
             "effects": [e.name for e in physics.effects],
+            **({"own_effects": own} if (own := own_effects(physics.effects)) else {}),
             "sensors": [s.name for s in physics.sensors],
             "input": physics.input,
             "model_sample_time": physics.sample_time,
@@ -142,12 +144,16 @@ class IdentifiedModel:
         return write_json(path, self.to_dict())
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> IdentifiedModel:
-        """Read a model file. Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`."""
-        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path))
+    def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
+        """Read a model file; `effects` are those of it that are not in the catalogue (`load_effects`).
+
+        Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given), `VehicleError`,
+        `UnknownNameError`.
+        """
+        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path), effects=effects)
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any], *, where: str = "model") -> IdentifiedModel:
+    def from_dict(data: Mapping[str, Any], *, where: str = "model", effects: Iterable[Effect] = ()) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
         if data.get("kind") != "physics":
             raise FileFormatError("unknown kind of model", where=where, expected="physics", got=repr(data.get("kind")))
@@ -161,7 +167,7 @@ class IdentifiedModel:
             sensors = {s.name: s for s in SENSORS}
             dynamics: Any = PhysicsModel(
                 vehicle=vehicle,
-                effects=tuple(effect_by_name(n) for n in data["effects"]),
+                effects=effects_of(data["effects"], data.get("own_effects", {}), effects, where=where),
                 sensors=tuple(sensors[n] for n in data["sensors"]),
                 input=data["input"],
                 sample_time=float(data["model_sample_time"]),

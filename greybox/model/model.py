@@ -761,15 +761,21 @@ def build_model(
     """The model for a vehicle and a log: its known effects, the ones asked for, and the sensors that the log fills.
 
     `columns` are the channels of the data (`Dataset.channels`), `noncausal` those that were smoothed with later samples
-    and must not serve as measurements; `kinematic_noise` is that of `PhysicsModel`. Raises `ModelError`, `UnknownNameError`.
+    and must not serve as measurements; `kinematic_noise` is that of `PhysicsModel`. An effect object (`load_effects`) also
+    stands for its name in the vehicle file. Raises `ModelError`, `UnknownNameError`.
     """
     usable = set(columns) - set(noncausal)
-    chosen: list[Effect] = [effect_by_name(n) for n in vehicle.effects]
+    asked = tuple(effects)
+    given = {e.name: e for e in asked if isinstance(e, Effect)}
+    for e in asked:
+        if isinstance(e, Effect) and given[e.name] is not e:
+            raise ModelError(f"two effects are named {e.name}", fix="give each its own name")
+    chosen: list[Effect] = [given.get(n) or effect_by_name(n) for n in vehicle.effects]
     if input == "speed":  # measured rotor speeds already contain what shapes the command
         chosen = [e for e in chosen if e.stage not in ("command", "rotor")]
     names = [e.name for e in chosen]
-    for e in effects:
-        effect = effect_by_name(e) if isinstance(e, str) else e
+    for e in asked:
+        effect = e if isinstance(e, Effect) else given.get(e) or effect_by_name(e)
         if effect.name not in names:
             names.append(effect.name)
             chosen.append(effect)

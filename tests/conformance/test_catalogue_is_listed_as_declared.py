@@ -57,7 +57,9 @@ def test_json_holds_the_whole_catalogue_and_fits_its_schema(capsys):
     assert by_name["motor_lag"]["parameters"][0]["name"] == "motor_lag.tau"
     assert by_name["motor_lag"]["parameters"][0]["lower"] == 0.0
     assert by_name["blade_flapping"]["parameters"][0]["lower"] is None
-    assert by_name["battery_sag"]["needs"] == {"columns": ["vbat"], "vehicle": ["nominal_voltage"], "sensors": []}
+    nothing = {"sensors": [], "other_sensors": [], "effects": []}
+    assert by_name["battery_sag"]["needs"] == {"columns": ["vbat"], "vehicle": ["nominal_voltage"]} | nothing
+    assert "parasitic_drag" in by_name["steady_wind"]["needs"]["effects"]
 
 
 def test_the_terminal_shows_every_effect_with_its_units_and_sources(capsys):
