@@ -4,7 +4,7 @@ One independent process per output; all share the support points. Without PyTorc
 
     x = (z - input_mean)/input_scale,   k = k_j(support, x)
     mean_j     = output_mean_j + output_scale_j weights_j'k
-    variance_j = output_scale_j^2 (max(k_j(x, x) - |L1_j k|^2, 0) + |L2_j k|^2)        [+ noise_j]
+    variance_j = output_scale_j^2 factor_j (max(k_j(x, x) - |L1_j k|^2, 0) + |L2_j k|^2)        [+ noise_j]
 
 which covers the exact posterior (L2 = 0), SGPR and SVGP (greybox/residual/sparse.py). The Jacobians are written out
 analytically: from dk_i/dx = 2 g_i (x - b_i)/lengthscale^2 both are matrix-vector products with one `exp` over the support.
@@ -57,6 +57,17 @@ class Domain:
         object.__setattr__(self, "distance", tuple(float(v) for v in self.distance))
 
 
+@dataclass(kw_only=True)
+class _Common:
+    """What outputs with one kernel share: k and g of the kernel, and the product of the last factor L1 with k."""
+
+    k: Expr
+    g: Expr
+    factor: FloatArray | None = None
+    first: Expr = None
+    explained: Expr = None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GPPosterior:
     """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support points.
@@ -65,8 +76,9 @@ class GPPosterior:
     standardised inputs, `weights` (M, n_out), `explained` and `uncertain` (n_out, M, M; lower triangular L1 and L2) in
     standardised outputs. `output_mean` (n_out,) includes the prior mean and is what the mean returns to far from the data.
     `noise` (n_out,) is the noise variance of a new sample in output units squared, `group_noise` the same of each known
-    group (flight). `noise_inflation` (n_out,) and `jitter` (n_out,) say how the numbers were made. An output whose weights
-    are all zero carries no information: its mean is constant and its variance the prior's. Raises `ModelError`.
+    group (flight). `noise_inflation` and `jitter` (n_out,) say how the numbers were made; `variance_factor` (n_out,), 1
+    or more, multiplies the variance (`sparse.variance_guard`). An output whose weights are all zero carries no
+    information: its mean is constant and its variance the prior's. Raises `ModelError`.
     """
 
     inputs: Layout
@@ -86,6 +98,7 @@ class GPPosterior:
     group_noise: Mapping[str, FloatArray] = field(default_factory=dict)
     noise_inflation: tuple[float, ...] = ()
     jitter: tuple[float, ...] = ()
+    variance_factor: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in (*_VECTORS, *_ARRAYS):
@@ -93,9 +106,10 @@ class GPPosterior:
         object.__setattr__(self, "group_noise", MappingProxyType({k: _frozen(v) for k, v in self.group_noise.items()}))
         object.__setattr__(self, "kernels", tuple(self.kernels))
         n_in, n_out = len(self.inputs), len(self.outputs)
-        for name in ("noise_inflation", "jitter"):
-            default = 1.0 if name == "noise_inflation" else 0.0
+        for name, default in (("noise_inflation", 1.0), ("jitter", 0.0), ("variance_factor", 1.0)):
             given = tuple(float(v) for v in getattr(self, name)) or (default,) * n_out
+            if len(given) != n_out:
+                raise ModelError(f"GPPosterior.{name} has {len(given)} values", expected=f"{n_out}, one per output")
             object.__setattr__(self, name, given)
         m = len(self.support)
         shapes = {
@@ -177,11 +191,13 @@ class GPPosterior:
         if z.numel() != n_in:
             raise ModelError("the GP's input has the wrong length", expected=f"{n_in} values", got=str(z.numel()))
         x = (ca.reshape(z, n_in, 1) - self.input_mean) / self.input_scale
+        variance_scale = self.output_scale**2 * self.variance_factor
         rows: dict[str, list[Expr]] = {name: [] for name in ("mean", "variance", "jm", "jv", "distances")}
-        shared: dict[int, tuple[Expr, Expr]] = {}
+        shared: dict[int, _Common] = {}
         for j, kernel in enumerate(self.kernels):
             if self.active[j] and id(kernel) not in shared:
-                shared[id(kernel)] = kernel.covariance_and_slope(self.support.T, x, ca)
+                k, g = kernel.covariance_and_slope(self.support.T, x, ca)
+                shared[id(kernel)] = _Common(k=k, g=g)
             parts = self._output(j, x, shared.get(id(kernel)), wanted)
             for name, value in parts.items():
                 rows[name].append(value)
@@ -189,12 +205,12 @@ class GPPosterior:
         if "mean" in wanted:
             out["mean"] = self.output_mean + self.output_scale * ca.vertcat(*rows["mean"])
         if "variance" in wanted:
-            out["variance"] = self.output_scale**2 * ca.vertcat(*rows["variance"]) + self.noise_variance(noise)
+            out["variance"] = variance_scale * ca.vertcat(*rows["variance"]) + self.noise_variance(noise)
         # Rows are per output (scale from the left), columns per input (scale from the right).
         if "mean_jacobian" in wanted:
             out["mean_jacobian"] = (self.output_scale[:, None] / self.input_scale) * ca.vertcat(*rows["jm"])
         if "variance_jacobian" in wanted:
-            out["variance_jacobian"] = (self.output_scale[:, None] ** 2 / self.input_scale) * ca.vertcat(*rows["jv"])
+            out["variance_jacobian"] = (variance_scale[:, None] / self.input_scale) * ca.vertcat(*rows["jv"])
         if wanted & {"distance", "distances"}:
             if "distances" in wanted:
                 out["distances"] = ca.vertcat(*rows["distances"])
@@ -203,27 +219,29 @@ class GPPosterior:
                 out["distance"] = ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active))) if active else ca.DM(1.0)
         return out
 
-    def _output(self, j: int, x: Expr, covariance: tuple[Expr, Expr] | None, wanted: set[str]) -> dict[str, Expr]:
+    def _output(self, j: int, x: Expr, common: _Common | None, wanted: set[str]) -> dict[str, Expr]:
         """Standardised quantities of output j at the standardised column x."""
         kernel = self.kernels[j]
         prior = kernel.prior_variance(x, ca)
         out: dict[str, Expr] = {}
         need_variance = wanted & {"variance", "variance_jacobian", "distance", "distances"}
-        if covariance is None:
+        if common is None:
             out["mean"], out["variance"], out["distances"] = ca.DM(0.0), prior, ca.DM(1.0)
             out["jm"] = out["jv"] = ca.DM.zeros(1, len(self.inputs))
             if "variance_jacobian" in wanted:
                 out["jv"] = kernel.prior_variance_slope(x)
             return out
-        k, g = covariance
+        k, g = common.k, common.g
         support, weights = self.support.T, ca.DM(self.weights[:, j])
         if "mean" in wanted:
             out["mean"] = ca.dot(weights, k)
         if "mean_jacobian" in wanted:
             out["jm"] = kernel.contract(support, x, g, weights)
         if need_variance:
-            first = ca.sparsify(ca.DM(self.explained[j]))
-            explained = first @ k
+            if common.factor is None or not np.array_equal(common.factor, self.explained[j]):
+                common.factor, common.first = self.explained[j], ca.sparsify(ca.DM(self.explained[j]))
+                common.explained = common.first @ k
+            first, explained = common.first, common.explained
             conditional = prior - ca.sumsqr(explained)
             if wanted & {"distance", "distances"}:
                 out["distances"] = ca.fmax(conditional, 0.0) / prior
@@ -324,6 +342,7 @@ class GPPosterior:
             "group_noise": {k: v.tolist() for k, v in self.group_noise.items()},
             "noise_inflation": list(self.noise_inflation),
             "jitter": list(self.jitter),
+            "variance_factor": list(self.variance_factor),
             "domain": {
                 "lower": self.domain.lower.tolist(),
                 "upper": self.domain.upper.tolist(),
@@ -355,6 +374,7 @@ class GPPosterior:
                 group_noise=plain["group_noise"],
                 noise_inflation=tuple(plain["noise_inflation"]),
                 jitter=tuple(plain["jitter"]),
+                variance_factor=tuple(plain["variance_factor"]),
                 domain=Domain(**plain["domain"]),
                 **{name: plain[name] for name in _VECTORS},
                 **values,

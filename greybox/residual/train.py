@@ -78,6 +78,7 @@ class _Settings:
     prior_mean: str
     subset: int
     polish: bool
+    guard: bool
     epochs: int
 
 
@@ -102,6 +103,7 @@ class _Output:
     numbers: sparse.Numbers | None
     noise: float
     tau: float
+    guard: float
     by_group: dict[int, float]
 
 
@@ -132,6 +134,7 @@ def train_gp(
     subset: int = 400,
     hold_out: float = 0.25,
     polish: bool = False,
+    guard: bool = True,
     epochs: int = 5,
     progress: Progress | None = None,
 ) -> TrainedGP:
@@ -145,7 +148,7 @@ def train_gp(
     factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
     data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
     of the samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement. polish: gradient
-    polish of support points and hyper-parameters.
+    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's (`sparse.variance_guard`).
 
     Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
     `MissingExtraError` without the extra `gp`.
@@ -154,7 +157,7 @@ def train_gp(
     rows, names, dropped = _rows(Z, Y, groups, inputs, outputs)
     settings = _Settings(
         kernel=kernel, method=method, seed=seed, restarts=restarts, noise=noise, noise_inflation=noise_inflation,
-        share_kernel=share_kernel, prior_mean=prior_mean, subset=subset, polish=polish, epochs=epochs,
+        share_kernel=share_kernel, prior_mean=prior_mean, subset=subset, polish=polish, guard=guard, epochs=epochs,
     )  # fmt: skip
     if points == "auto" and (method == "exact" or hold_out <= 0):
         raise ModelError('points="auto" needs a sparse method and a hold-out', fix="pass a number of points")
@@ -176,7 +179,18 @@ def train_gp(
             out_names = tuple(names[g] for g in np.unique(rows.group[mask])) if len(names) > 1 else ("last part",)
             most = max(SIZES) if points == "auto" else int(points)
             tick = time.perf_counter()
-            first = _train(rows.take(~mask), inputs, outputs, names, most, settings, None, null, report, (0.0, 0.5))
+            first = _train(
+                rows.take(~mask),
+                inputs,
+                outputs,
+                names,
+                most,
+                replace(settings, guard=False),
+                None,
+                null,
+                report,
+                (0.0, 0.5),
+            )
             seconds["on the training part"] = time.perf_counter() - tick
             start = [o.hyper for o in first.outputs]
             judged, null = _judge(first.posterior, rows.take(~mask), rows.take(mask), settings)
@@ -316,6 +330,7 @@ def _train(
         uncertain=np.stack([np.zeros((m, m)) if o.numbers is None else o.numbers.uncertain for o in done]),
         noise=np.array([o.noise for o in done]) * y_scale**2, group_noise=group_noise,
         noise_inflation=tuple(o.tau for o in done),
+        variance_factor=tuple(o.guard for o in done),
         jitter=tuple(0.0 if o.numbers is None else o.numbers.jitter for o in done),
         domain=Domain(lower=rows.z.min(0), upper=rows.z.max(0), samples=len(x)),
     )  # fmt: skip
@@ -334,7 +349,9 @@ def _null_output(hyper: Hyper, mean_square: float, points: int) -> _Output:
     kernel = hyper.kernel
     leftover = min(kernel.variance, mean_square)
     plain = Kernel(family=kernel.family, lengthscales=kernel.lengthscales, variance=leftover)
-    return _Output(hyper=replace(hyper, kernel=plain), numbers=None, noise=mean_square - leftover, tau=1.0, by_group={})
+    return _Output(
+        hyper=replace(hyper, kernel=plain), numbers=None, noise=mean_square - leftover, tau=1.0, guard=1.0, by_group={}
+    )
 
 
 def _output(
@@ -369,7 +386,10 @@ def _output(
             x, y, kernel, noise, support, tau=tau, seed=s.seed, epochs=s.epochs
         )
         hyper = replace(hyper, kernel=kernel, status=status if hyper.status == "converged" else hyper.status)
-    return _Output(hyper=hyper, numbers=numbers, noise=noise, tau=tau, by_group=by_group)
+    guard = 1.0
+    if s.method != "exact" and s.guard:
+        guard = sparse.variance_guard(kernel, support.T, numbers, x.T, level * tau, seed=s.seed)
+    return _Output(hyper=hyper, numbers=numbers, noise=noise, tau=tau, guard=guard, by_group=by_group)
 
 
 def _closed(
