@@ -62,7 +62,7 @@ class LinearFit:
     @property
     def converged(self) -> bool:
         """Did the polish converge?"""
-        return self.status in (Status.CONVERGED, Status.FLAT)
+        return self.status.converged
 
     @property
     def errors(self) -> str:

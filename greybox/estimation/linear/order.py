@@ -157,7 +157,7 @@ def _row(found: Found, records: Sequence[Record]) -> OrderRow:
         aicc=value + 2 * total * scalars / max(scalars - total - 1, 1),
         bic=value + total * np.log(count),
         whiteness=_whiteness(found, records),
-        converged=s.status.name in ("CONVERGED", "FLAT"),
+        converged=s.status.converged,
     )
 
 

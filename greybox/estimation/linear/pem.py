@@ -1,8 +1,9 @@
-"""Prediction error method for linear models: Gauss-Newton with Levenberg-Marquardt damping on exact sensitivities.
+"""Prediction error method for linear models: damped Newton steps on the exact gradient and Hessian.
 
 Criterion: N log det( 1/N sum e e' ), the Gaussian likelihood with Lambda concentrated out (Ljung 1999, section 7.4 and
 equation 15.2b). The initial state and the output offset of every record are nuisance parameters that are eliminated
 block by block. A step that leaves the region of stable predictors is refused, so that A - KC is stable by construction.
+The Hessian is exact for free models on records without holes (`gram`), else that of Gauss-Newton.
 """
 
 from __future__ import annotations
@@ -13,15 +14,13 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as sla
 
 from greybox.errors import FitError
-from greybox.estimation.linear.parametrisation import Parametrisation
+from greybox.estimation.linear.gram import Gram, separable
+from greybox.estimation.linear.parametrisation import Free, Parametrisation
 from greybox.estimation.linear.predictor import (
     Modes,
     Prediction,
-    modal_mix,
-    modal_signals,
     predict,
     sensitivities,
     start_sensitivities,
@@ -30,6 +29,8 @@ from greybox.estimation.linear.records import Record
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.symbolic import FloatArray
 
+FIRST_DAMPING = 1e-3
+"""Of a Hessian scaled to unit information."""
 FLAT_GAIN = 0.05
 """Gain of three steps, in -2 log likelihood, below which the iteration ends as `Status.FLAT`."""
 
@@ -37,10 +38,10 @@ FLAT_GAIN = 0.05
 class Status(Enum):
     """How the iteration ended; the value is advice."""
 
-    CONVERGED = "converged: a further Gauss-Newton step would change -2 log likelihood by less than the tolerance"
+    CONVERGED = "converged: a further step would change the estimate by less than a tenth of a standard error"
     FLAT = (
-        "converged in likelihood: the last three steps together gained less than 0.05 of -2 log likelihood; the estimate "
-        "moves along a direction that the data hardly determine: fewer states may do"
+        "not converged: the last three steps together gained less than 0.05 of -2 log likelihood although the gradient is "
+        "not zero; the data hardly determine some direction: lower the order"
     )
     STALLED = (
         "not converged: no step improves the likelihood although the gradient is not zero; the model may sit at the "
@@ -48,6 +49,11 @@ class Status(Enum):
     )
     MAX_ITERATIONS = "not converged: iteration limit reached; raise max_iterations or start from another method"
     NOT_RUN = "not polished: this is the subspace start"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self is Status.CONVERGED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +66,13 @@ class Nuisance:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """`tolerance` is in units of -2 log likelihood. `stable` demands |eig A| < 1; `offsets` frees one per record."""
+    """`stable` demands |eig A| < 1; `offsets` frees one per record. The iteration stops as converged where the Hessian has
+    no negative curvature and a full step promises less than `tolerance` of -2 log likelihood. That decrease is the square
+    of the step in standard errors, over all directions together: 0.01 is a tenth of a standard error.
+    """
 
     max_iterations: int = 100
-    tolerance: float = 1e-3
+    tolerance: float = 1e-2
     stable: bool = False
     offsets: bool = True
     free_start: bool = True
@@ -141,86 +150,58 @@ def evaluate(
 
 
 class Normal(NamedTuple):
-    """Normal equations with the nuisances eliminated, and what is needed to bring them back."""
+    """Half the gradient and Hessian of the criterion with the nuisances eliminated, and what brings those back.
+
+    `information` is J'J of whitened innovations, `hessian` the exact one where it is known, else the same.
+    """
 
     information: FloatArray
     gradient: FloatArray
+    hessian: FloatArray
     back: list[tuple[FloatArray, FloatArray]]
 
 
 def normal_equations(
     point: Parametrisation, records: Sequence[Record], evaluation: Evaluation, settings: Settings
 ) -> Normal:
-    """H = J'J and g = J'e of whitened innovations along the tangent; per record (N'N)^-1 [N'e, N'J] to go back."""
+    """J'J, J'e and Hessian along the tangent; per record (N'N)^-1 [N'e, N'J] to go back. Exact for straight steps."""
     tangent = point.tangent()
     d = tangent.shape[1]
     n, _, p = point.system.sizes
     whitener = np.linalg.inv(np.linalg.cholesky(evaluation.noise))
-    h, g, back = np.zeros((d, d)), np.zeros(d), []
-    fast = evaluation.modes.usable and np.linalg.cond(evaluation.modes.vectors) < 1e3
-    mixing = _mixing(point.system, evaluation.modes, tangent, whitener) if fast else None
+    holes = any(q.gains is not None for q in evaluation.predictions)
+    modal = Gram(point.system, evaluation.modes, tangent, whitener) if separable(evaluation.modes) else None
+    exact = modal is not None and not holes and isinstance(point, Free)
+    h, g, second, mixed = np.zeros((d, d)), np.zeros(d), np.zeros((d, d)), np.zeros((p, p, d))
+    back = []
+    keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
     for record, prediction in zip(records, evaluation.predictions):
-        if mixing is not None and prediction.gains is None:
-            hr, gr, cross, own, right = _by_gram(point.system, record, prediction, evaluation.modes, whitener, mixing)
+        if modal is not None and prediction.gains is None:
+            parts = modal.parts(record, prediction)
+            whole, right, products = parts.information, parts.gradient, parts.mixed
+            second += parts.second
         else:
-            hr, gr, cross, own, right = _by_jacobian(
-                point.system, record, prediction, evaluation.modes, whitener, tangent
-            )
-        keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
-        cross, own, right = cross[keep], own[np.ix_(keep, keep)], right[keep]
-        if keep.any():
-            inverse = np.linalg.pinv(own, rcond=1e-11, hermitian=True)
-            hr = hr - cross.T @ inverse @ cross
-            gr = gr - cross.T @ inverse @ right
-            start, slope = np.zeros(n + p), np.zeros((n + p, d))
-            start[keep], slope[keep] = inverse @ right, inverse @ cross
-        else:
-            start, slope = np.zeros(n + p), np.zeros((n + p, d))
+            whole, right = _by_jacobian(point.system, record, prediction, evaluation.modes, whitener, tangent)
+            products = np.zeros((p, p, d + n + p))
+        start, slope = np.zeros(n + p), np.zeros((n + p, d))
+        cross = whole[d:, :d][keep]
+        inverse = np.linalg.pinv(whole[d:, d:][np.ix_(keep, keep)], rcond=1e-11, hermitian=True)
+        start[keep], slope[keep] = inverse @ right[d:][keep], inverse @ cross
+        h += whole[:d, :d] - cross.T @ slope[keep]
+        g += right[:d] - cross.T @ start[keep]
+        mixed += products[:, :, :d] - (products[:, :, d:].reshape(p * p, n + p) @ slope).reshape(p, p, d)
         back.append((start, slope))
-        h += hr
-        g += gr
-    return Normal((h + h.T) / 2, g, back)
-
-
-def _mixing(system: Matrices, modes: Modes, tangent: FloatArray, whitener: FloatArray) -> FloatArray:
-    """R (M, p, d): whitened sensitivities along the tangent = [modal signals, x, u] @ R."""
-    n, m, p = system.sizes
-    width, d = n + m + p, tangent.shape[1]
-    mix = modal_mix(modes, whitener @ system.c)
-    inner = tangent[: n * width].reshape(n, width * d)
-    first = np.einsum("oar,ax->rox", mix, inner, optimize=True).reshape(mix.shape[2], p, width, d)
-    first = first.transpose(0, 2, 1, 3).reshape(mix.shape[2] * width, p, d)
-    tc = tangent[n * width : n * width + p * n].reshape(p, n, d)
-    td = tangent[n * width + p * n :].reshape(p, m, d)
-    second = np.einsum("ij,jkd->kid", whitener, np.concatenate([tc, td], axis=1))
-    return np.concatenate([first, second], axis=0)
-
-
-_Parts = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-def _by_gram(
-    system: Matrices, record: Record, prediction: Prediction, modes: Modes, whitener: FloatArray, mixing: FloatArray
-) -> _Parts:
-    level = prediction.x @ system.c.T + record.u @ system.d.T + prediction.e
-    count, p = prediction.e.shape
-    basis = modal_signals(modes, np.hstack([prediction.x, record.u, level])).reshape(count, -1)
-    basis = np.hstack([basis, prediction.x, record.u])
-    e = prediction.e @ whitener.T
-    jx, jc = start_sensitivities(system, modes, count)
-    own = np.einsum("ij,kjn->ikn", whitener, np.concatenate([jx, jc], axis=2), optimize=True)
-    gram = basis.T @ basis
-    h = sum(mixing[:, o].T @ (gram @ mixing[:, o]) for o in range(p))
-    g = sum(mixing[:, o].T @ (basis.T @ e[:, o]) for o in range(p))
-    cross = sum((own[o].T @ basis) @ mixing[:, o] for o in range(p))
-    block = sum(own[o].T @ own[o] for o in range(p))
-    right = sum(own[o].T @ e[:, o] for o in range(p))
-    return h, g, cross, block, right  # type: ignore[return-value]
+    h = (h + h.T) / 2
+    if not exact:
+        return Normal(h, g, h, back)
+    turn = (mixed + mixed.transpose(1, 0, 2)).reshape(p * p, d)
+    return Normal(h, g, h - second - turn.T @ turn / (2 * sum(len(r) for r in records)), back)
 
 
 def _by_jacobian(
     system: Matrices, record: Record, prediction: Prediction, modes: Modes, whitener: FloatArray, tangent: FloatArray
-) -> _Parts:
+) -> tuple[FloatArray, FloatArray]:
+    """J'J and J'e of one record, columns along the tangent, x0 and offset: the slow way, for holes and joined modes."""
     j, jx, jc = sensitivities(system, record, prediction, modes)
     whole = np.concatenate([j @ tangent, jx, jc], axis=2)
     if prediction.whitener is None:
@@ -229,31 +210,29 @@ def _by_jacobian(
     else:
         whole = np.einsum("kij,kjd->kid", prediction.whitener, whole, optimize=True)
         e = np.einsum("kij,kj->ki", prediction.whitener, prediction.e)
-    d = tangent.shape[1]
-    flat, e = whole.reshape(-1, whole.shape[2]), e.ravel()
-    gram = flat.T @ flat
-    right = flat.T @ e
-    return gram[:d, :d], right[:d], gram[d:, :d], gram[d:, d:], right[d:]
+    flat = whole.reshape(-1, whole.shape[2])
+    return flat.T @ flat, flat.T @ e.ravel()
 
 
 def start_nuisances(system: Matrices, records: Sequence[Record], settings: Settings) -> tuple[Nuisance, ...]:
     """Least squares initial states and offsets for fixed matrices, scaled records assumed."""
     n, _, p = system.sizes
+    modes = Modes(system.predictor)
     out = []
     for r in records:
         zero = Nuisance(x0=np.zeros(n), offset=np.zeros(p))
         if not (settings.free_start or settings.offsets):
             out.append(zero)
             continue
-        prediction = predict(system, r, zero.x0, zero.offset, np.eye(p))
-        if prediction.gains is None and Modes(system.predictor).usable:
-            jx, jc = start_sensitivities(system, Modes(system.predictor), len(r))
+        prediction = predict(system, r, zero.x0, zero.offset, np.eye(p), modes)
+        if prediction.gains is None and modes.usable:
+            jx, jc = start_sensitivities(system, modes, len(r))
         else:
             _, jx, jc = sensitivities(system, r, prediction)
         keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
         whole = np.concatenate([jx, jc], axis=2).reshape(-1, n + p)[:, keep]
         value = np.zeros(n + p)
-        value[keep] = sla.lstsq(whole, prediction.e.ravel(), cond=1e-9)[0]
+        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (whole.T @ prediction.e.ravel())
         out.append(Nuisance(x0=value[:n], offset=value[n:]))
     return tuple(out)
 
@@ -281,22 +260,28 @@ def minimise(
     holes = any(r.missing for r in records)
     tries, near = (12, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
     tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
-    damping, status, iteration, decrement = 1e-4, Status.MAX_ITERATIONS, 0, np.inf
+    damping, status, iteration, decrement = FIRST_DAMPING, Status.MAX_ITERATIONS, 0, np.inf
     normal = normal_equations(point, records, here, settings)
     if not _finite(normal):
         raise FitError(
             "the sensitivities are not finite at the start", fix="start from another method or a lower order"
         )
     gains: list[float] = []
-    while iteration < settings.max_iterations:
-        iteration += 1
-        decrement = _decrement(normal)
-        if decrement < tolerance:
+    while True:
+        model = _Quadratic.of(normal)
+        decrement = model.decrement
+        if decrement < tolerance and model.convex:
             status = Status.CONVERGED
             break
-        accepted = False
+        if len(gains) >= 3 and sum(gains[-3:]) < FLAT_GAIN:
+            status = Status.FLAT
+            break
+        if iteration >= settings.max_iterations:
+            break
+        iteration += 1
+        following = None
         for _ in range(tries):
-            step = _damped(normal, damping)
+            step, promised = model.step(damping)
             trial = point.moved(step)
             if _allowed(trial.system, settings):
                 moved = _moved(current, normal.back, step)
@@ -304,19 +289,17 @@ def minimise(
                 if there.criterion < here.criterion:
                     following = normal_equations(trial, records, there, settings)
                     if _finite(following):
-                        accepted = True
                         break
+                    following = None
             damping = max(damping, 1e-6) * 8.0
-        if not accepted:
+        if following is None:
             status = Status.CONVERGED if decrement < near else Status.STALLED
             break
-        gains.append(here.criterion - there.criterion)
-        point, current, here = trial, moved, there
-        damping = max(damping / 10.0, 1e-12)
-        normal = following
-        if len(gains) >= 3 and sum(gains[-3:]) < FLAT_GAIN and _decrement(normal) >= tolerance:
-            status, decrement = Status.FLAT, _decrement(normal)
-            break
+        gain = here.criterion - there.criterion
+        damping = damping / 10.0 if gain > 0.5 * promised else damping * 2.0 if gain < 0.1 * promised else damping
+        damping = damping if damping > 1e-8 else 0.0
+        gains.append(gain)
+        point, current, here, normal = trial, moved, there, following
     return Solution(
         point=point,
         nuisances=current,
@@ -341,25 +324,39 @@ def _finite(normal: Normal) -> bool:
     return bool(np.isfinite(normal.information).all() and np.isfinite(normal.gradient).all())
 
 
-def _decrement(normal: Normal) -> float:
-    """Predicted decrease of -2 log likelihood of a full step, over directions that the data see."""
-    h, g = normal.information, normal.gradient
-    if not len(g):
-        return 0.0
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-14 * max(float(np.diag(h).max(initial=0.0)), 1e-300)))
-    values, vectors = np.linalg.eigh(h / np.outer(scale, scale))
-    keep = values > 1e-10 * values[-1]
-    return float((((vectors.T @ (g / scale))[keep]) ** 2 / values[keep]).sum())
+class _Quadratic(NamedTuple):
+    """The quadratic model of the criterion in the eigenvectors of its Hessian, every direction at unit information.
 
+    Negative curvature is taken by its size, so that a step descends there too (Dauphin et al. 2014, "saddle-free").
+    """
 
-def _damped(normal: Normal, damping: float) -> FloatArray:
-    h, g = normal.information, normal.gradient
-    scale = np.sqrt(np.maximum(np.diag(h), 1e-14 * max(float(np.diag(h).max(initial=0.0)), 1e-300)))
-    scaled = h / np.outer(scale, scale) + damping * np.eye(len(g))
-    try:
-        return np.asarray(sla.cho_solve(sla.cho_factor(scaled), g / scale)) / scale
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) @ (g / scale)) / scale
+    values: FloatArray
+    slope: FloatArray
+    back: FloatArray
+
+    @classmethod
+    def of(cls, normal: Normal) -> _Quadratic:
+        diagonal = np.diag(normal.information)
+        scale = np.sqrt(np.maximum(diagonal, 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)))
+        values, vectors = np.linalg.eigh(normal.hessian / np.outer(scale, scale))
+        return cls(values, vectors.T @ (normal.gradient / scale), vectors / scale[:, None])
+
+    @property
+    def convex(self) -> bool:
+        return not len(self.values) or bool(self.values[0] > -1e-6 * self.values[-1])
+
+    @property
+    def decrement(self) -> float:
+        """Decrease of -2 log likelihood that a full step promises, over directions that the data see."""
+        size = np.abs(self.values)
+        keep = size > 1e-10 * size.max(initial=0.0)
+        return float((self.slope[keep] ** 2 / size[keep]).sum())
+
+    def step(self, damping: float) -> tuple[FloatArray, float]:
+        """The damped step (d,) and the decrease that it promises."""
+        size = np.abs(self.values)
+        step = self.slope / (np.maximum(size, 1e-10 * size.max(initial=0.0)) + damping)
+        return self.back @ step, float(2.0 * self.slope @ step - (self.values * step) @ step)
 
 
 def _moved(

@@ -40,12 +40,15 @@ class Modes:
 
     def __init__(self, f: FloatArray) -> None:
         self.values, self.vectors = np.linalg.eig(f)
-        n = len(f)
-        self.usable = n == 0 or bool(np.linalg.cond(self.vectors) < WORST_MODES)
-        if self.usable:
+        try:
             self.inverse = np.linalg.inv(self.vectors)
-            self.half = np.flatnonzero(self.values.imag >= 0.0)
-            self.weight = np.where(self.values[self.half].imag > 0.0, 2.0, 1.0)
+        except np.linalg.LinAlgError:
+            self.inverse = np.full_like(self.vectors, np.inf)
+        # Frobenius norms: at most n times the condition number, and far cheaper
+        self.condition = float(np.linalg.norm(self.vectors) * np.linalg.norm(self.inverse)) if len(f) else 1.0
+        self.usable = self.condition < WORST_MODES
+        self.half = np.flatnonzero(self.values.imag >= 0.0)
+        self.weight = np.where(self.values[self.half].imag > 0.0, 2.0, 1.0)
 
     def filtered(self, signals: FloatArray) -> list[FloatArray]:
         """Per kept mode i the response of xi+ = lambda_i xi + w from xi = 0 to each column of signals (N, q)."""
@@ -59,9 +62,16 @@ class Modes:
 
     def powers(self, count: int) -> list[FloatArray]:
         """Per kept mode the sequence 1, lambda, lambda^2, ... (count,)."""
-        k = np.arange(count)
-        with np.errstate(under="ignore"):
-            return [v.real**k if v.imag == 0.0 else v**k for v in self.values[self.half]]
+        return [powers(v, count).real if v.imag == 0.0 else powers(v, count) for v in self.values[self.half]]
+
+
+def powers(pole: complex, count: int) -> np.ndarray:
+    """1, pole, pole^2, ... (count,), complex; zero once far below rounding, as denormal numbers are slow."""
+    out = np.zeros(count, dtype=complex)
+    size = abs(pole)
+    stop = count if size >= 1.0 else min(count, 2 + int(-115.0 / np.log(max(size, 1e-30))))
+    out[:stop] = pole ** np.arange(stop)
+    return out
 
 
 def states(f: FloatArray, drive: FloatArray, x0: FloatArray, modes: Modes | None = None) -> FloatArray:
@@ -77,18 +87,20 @@ def states(f: FloatArray, drive: FloatArray, x0: FloatArray, modes: Modes | None
         for k in range(count - 1):
             x[k + 1] = f @ x[k] + drive[k]
         return x
-    out = np.zeros((count, n))
-    start = modes.inverse @ x0
-    for i, w in zip(modes.half, modes.weight):
-        value = modes.values[i]
-        row, first = modes.inverse[i], start[i]
+    start = modes.inverse[modes.half] @ x0
+    pushed = modes.inverse[modes.half] @ drive[:-1].T
+    xi = np.empty((len(start), count), dtype=pushed.dtype)
+    xi[:, 0] = start
+    for i, value in enumerate(modes.values[modes.half]):
         if value.imag == 0.0:
-            value, row, first = value.real, row.real, first.real
-        xi = np.empty(count, dtype=type(value))
-        xi[0] = first
-        xi[1:] = lfilter([1.0], [1.0, -value], drive[:-1] @ row, zi=np.array([value * first]))[0]
-        out += w * np.outer(xi, modes.vectors[:, i]).real if value.imag else np.outer(xi, modes.vectors[:, i].real)
-    return out
+            value, row, first = value.real, pushed[i].real, start[i].real
+        else:
+            row, first = pushed[i], start[i]
+        xi[i, 1:] = lfilter([1.0], [1.0, -value], row, zi=np.array([value * first]))[0]
+    back = modes.vectors[:, modes.half] * modes.weight
+    if not np.iscomplexobj(xi):
+        return np.asarray((back.real @ xi).T)
+    return np.asarray((back.real @ xi.real - back.imag @ xi.imag).T)
 
 
 def predict(

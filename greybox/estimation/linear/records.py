@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Record:
     def __len__(self) -> int:
         return len(self.u)
 
-    @property
+    @cached_property
     def missing(self) -> int:
         """Number of samples at which at least one output is missing."""
         return int((~np.isfinite(self.y)).any(axis=1).sum())

@@ -80,7 +80,7 @@ class StructuredFit:
     @property
     def converged(self) -> bool:
         """Did the iteration converge?"""
-        return self.status in (Status.CONVERGED, Status.FLAT)
+        return self.status.converged
 
 
 def fit_structured(

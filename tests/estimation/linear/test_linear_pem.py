@@ -23,22 +23,6 @@ def recorded(rng, truth, count, name="record", **kwargs):
     return Record(u=u, y=y, name=name)
 
 
-def test_gram_and_jacobian_normal_equations_agree():
-    _, _, _, record = data()
-    records, _ = prepare([record])
-    start = subspace(records, "ssarx", order=3).realise(3)
-    settings = pem.Settings()
-    nuisances = pem.start_nuisances(start, records, settings)
-    here = pem.evaluate(start, nuisances, records, np.eye(2))
-    whitener = np.linalg.inv(np.linalg.cholesky(here.noise))
-    tangent = Free(system=start).tangent()
-    mixing = pem._mixing(start, here.modes, tangent, whitener)
-    fast = pem._by_gram(start, records[0], here.predictions[0], here.modes, whitener, mixing)
-    slow = pem._by_jacobian(start, records[0], here.predictions[0], here.modes, whitener, tangent)
-    for a, b in zip(fast, slow):
-        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7 * np.abs(b).max())
-
-
 def test_gradient_is_that_of_the_criterion():
     _, _, _, record = data(1)
     records, _ = prepare([record])
