@@ -40,6 +40,7 @@ def add(subparsers: Any) -> None:
         "--adapt", type=float, default=0.0, metavar="S", help="fit state and offset of test logs on S seconds"
     )
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="prediction horizons in samples")
+    p.add_argument("--profile", action="store_true", help="profile likelihood intervals of all poles (takes longer)")
     p.add_argument("--out", default="greybox-linear", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
     p.set_defaults(run=run)
@@ -92,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{fit.model.name}\n{fit.summary()}")
             if fit.order_choice is not None:
                 print(fit.order_choice.format())
+        intervals = _intervals(fit, train.records, columns, rows) if arguments.profile else ()
         results.append(
             validate_linear(
                 fit,
@@ -102,6 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
                 horizons=horizons,
                 adapt_seconds=arguments.adapt,
                 feedback=not arguments.open_loop,
+                intervals=intervals,
             )
         )
     out = Path(arguments.out)
@@ -133,6 +136,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         for r in results:
             print(r.format())
+        for note in content["notes"]:
+            print(f"note: {note}")
         print(f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}")
     bad = [r.fit.model.name for r in results if not r.fit.converged]
     if bad:
@@ -174,6 +179,22 @@ def _fit(
         cross_validate=order == "auto",
         name=name,
     )
+
+
+def _intervals(fit: Any, records: Any, columns: tuple[int, ...], rows: tuple[int, ...]) -> tuple[Any, ...]:
+    """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones above the axis."""
+    from greybox.estimation.linear.fit import Record
+    from greybox.estimation.linear.pole_profile import pole_profile
+
+    own = [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in records]
+    profile = pole_profile(fit, own)
+    out = []
+    for i, pole in enumerate(fit.uncertainty.poles().value):
+        if pole.imag >= 0:
+            out.append(profile.interval(i, "real"))
+        if pole.imag > 0:
+            out.append(profile.interval(i, "imag"))
+    return tuple(out)
 
 
 def _whole_numbers(text: str, what: str, least: int) -> list[int]:
@@ -223,7 +244,7 @@ def _shown(arguments: argparse.Namespace) -> list[str]:
         value = getattr(arguments, key)
         if value is not None:
             out += [f"--{key.replace('_', '-')}", str(value)]
-    for key in ("siso", "feedthrough", "output_error", "stable", "open_loop"):
+    for key in ("siso", "feedthrough", "output_error", "stable", "open_loop", "profile"):
         if getattr(arguments, key):
             out.append(f"--{key.replace('_', '-')}")
     return out

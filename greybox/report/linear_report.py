@@ -27,9 +27,9 @@ def linear_report(
             report.warning(f"{r.fit.model.name}: {w}" if len(results) > 1 else w)
         if r.whiteness is not None and any(c.test.p_value < 0.01 for c in r.whiteness.channels):
             bad = ", ".join(c.name for c in r.whiteness.channels if c.test.p_value < 0.01)
+            kind = "robust standard errors are given" if r.fit.robust is not None else "standard errors are too small"
             report.warning(
-                f"innovations of {bad} are not white: standard errors are too small, and something is not linear, not "
-                "constant or not measured"
+                f"innovations of {bad} are not white: something is not linear, not constant or not measured; {kind}"
             )
     report.section("What was fitted")
     report.facts(
@@ -95,7 +95,8 @@ def _model(report: Report, r: Identified) -> None:
     report.heading("Poles and zeros")
     poles, zeros = fit.uncertainty.poles(), fit.uncertainty.zeros()
     rows: list[list[Any]] = []
-    for value, cov in zip(poles.value, poles.covariance):
+    strengths, sure = fit.uncertainty.pole_strengths(), fit.uncertainty.well_determined()
+    for value, cov, strength, believed in zip(poles.value, poles.covariance, strengths, sure):
         if value.imag < 0:
             continue
         rate = -np.log(max(abs(value), 1e-12)) / fit.model.dt
@@ -108,9 +109,24 @@ def _model(report: Report, r: Identified) -> None:
                 float(np.sqrt(cov[1, 1])),
                 float(hertz),
                 float(1 / rate) if rate > 0 else None,
+                f"{strength:.3g}" + ("" if believed else " (weak or crowded)"),
             ]
         )
-    report.table(["pole", "std real", "std imaginary", "frequency [Hz]", "time constant [s]"], rows)
+    report.table(
+        ["pole", "std real", "std imaginary", "frequency [Hz]", "time constant [s]", "strength"],
+        rows,
+        caption=f"{fit.errors} standard errors; strength: Wald statistic of the mode per degree of freedom "
+        "(1 is noise); the error of a weak mode, or of one with a close neighbour, is larger than its standard error",
+    )
+    if r.intervals:
+        report.table(
+            ["pole", "quantity", "lower", "upper"],
+            [
+                [f"{i.pole.real:.5f} {i.pole.imag:+.5f}j", i.quantity, _none(i.lower), _none(i.upper)]
+                for i in r.intervals
+            ],
+            caption="95 % profile likelihood intervals; an empty end is open",
+        )
     report.figure(
         linear_figures.pole_map(poles, zeros),
         alt="poles and zeros in the complex plane",

@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.errors import GreyboxError
 from greybox.estimation.linear.fit import LinearFit, to_dict
+from greybox.estimation.linear.pole_profile import Interval
 from greybox.estimation.linear.prediction import adapt, k_step
 from greybox.estimation.linear.records import Record, delayed
 from greybox.estimation.linear.spectrum import SpectralError, spectral_error
@@ -54,6 +55,7 @@ class Identified:
     adapted_on: float
     columns: tuple[int, ...]
     outputs: tuple[int, ...]
+    intervals: tuple[Interval, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for fit.json."""
@@ -61,6 +63,7 @@ class Identified:
             "name": self.fit.model.name,
             "fit": to_dict(self.fit),
             "model": self.fit.model.to_dict(),
+            "profile_intervals": [_interval(i) for i in self.intervals],
             "train": {"one_step_fit_percent": dict(zip(self.fit.model.outputs.names, self.train_fit))},
             "whiteness": None if self.whiteness is None else self.whiteness.to_dict(),
             "cross_correlation": None if self.cross is None else self.cross.to_dict(),
@@ -96,6 +99,11 @@ class Identified:
             f"{self.fit.model.name}: one-step fit on training data "
             + ", ".join(f"{n} {v:.1f} %" for n, v in zip(names, self.train_fit))
         ]
+        for i in self.intervals:
+            lines.append(
+                f"pole {i.pole:.4f}: {100 * i.level:.0f} % profile interval of its {i.quantity} part "
+                f"[{i.lower:.4f}, {i.upper:.4f}]"
+            )
         if self.spectral is not None:
             lines.append(
                 f"spectral error {self.spectral.low:g}-{self.spectral.high:g} Hz: "
@@ -123,6 +131,7 @@ def validate_linear(
     horizons: Sequence[int] = (1, 10, 50),
     adapt_seconds: float = 0.0,
     feedback: bool = True,
+    intervals: Sequence[Interval] = (),
 ) -> Identified:
     """Residual tests and test rows of `fit`, which uses the given columns of the records' u and y.
 
@@ -180,7 +189,21 @@ def validate_linear(
         adapted_on=adapt_seconds,
         columns=tuple(columns),
         outputs=tuple(outputs),
+        intervals=tuple(intervals),
     )
+
+
+def _interval(i: Interval) -> dict[str, Any]:
+    """Plain values; an open end is None."""
+    ends = [float(v) if np.isfinite(v) else None for v in (i.lower, i.upper)]
+    return {
+        "pole": {"real": i.pole.real, "imag": i.pole.imag},
+        "quantity": i.quantity,
+        "estimate": i.estimate,
+        "lower": ends[0],
+        "upper": ends[1],
+        "level": i.level,
+    }
 
 
 def _part(record: Record, columns: Sequence[int], outputs: Sequence[int]) -> Record:

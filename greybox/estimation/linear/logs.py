@@ -117,12 +117,12 @@ def read_records(
             )
         notes += [f"{flight.name}: {n}" for n in flight.notes]
         flights.append(flight)
+        total_held = 0
         for i, segment in enumerate(flight.segments):
             u = np.column_stack([_mixed(segment, s) for s in inputs]) if inputs else np.zeros((segment.n, 0))
             y = np.column_stack([_mixed(segment, s) for s in outputs])
             u, held = _held(u, hold)
-            if held:
-                notes.append(f"{flight.name}: {held} missing input samples held")
+            total_held += held
             name = flight.name if len(flight.segments) == 1 else f"{flight.name}#{i + 1}"
             pieces = split_at_missing(u, y, name=name, longest=bridge)
             if len(pieces) > 1:
@@ -133,6 +133,8 @@ def read_records(
                 )
                 pieces = kept
             records += pieces
+        if total_held:
+            notes.append(f"{flight.name}: {total_held} missing input samples held at the value before them")
     if not records or dt is None:
         raise DataError("no usable samples in the logs", fix="check that inputs and outputs were logged at one time")
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))
@@ -160,7 +162,12 @@ def _with_columns(raw: RawLog, inputs: Sequence[ChannelSpec], outputs: Sequence[
         raise DataError(f"column '{empty[0]}' holds no value", where=where, fix="name another column")
     # What only conditioning needs (height and commands tell the airborne part) stays; the rest is dropped.
     kept = {n: v for n, v in raw.channels.items() if n not in channels}
-    return replace(raw, channels={**kept, **channels}, extra={})
+    # The reader calls columns unused that are no channels of a multirotor; here the channels are the user's.
+    notes = tuple(n for n in raw.notes if not n.startswith("columns kept but not used"))
+    unused = [n for n in raw.extra if n not in channels]
+    if unused:
+        notes = (*notes, "columns not used: " + ", ".join(unused))
+    return replace(raw, channels={**kept, **channels}, extra={}, notes=notes)
 
 
 def _mixed(segment: Any, spec: ChannelSpec) -> FloatArray:

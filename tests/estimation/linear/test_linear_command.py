@@ -135,3 +135,23 @@ def test_jittering_clock_and_missing_cells_are_taken_and_said(tmp_path):
     assert run("--train", a, *BOTH, "--order", 3, "--out", tmp_path / "out") in (0, 1)
     fit = json.loads((tmp_path / "out/fit.json").read_text())
     assert any("clock" in n for n in fit["notes"])
+
+
+def test_profile_intervals_and_what_was_done_to_the_log_are_told(tmp_path, capsys):
+    def spoil(table):
+        table[500:502, 1] = np.nan
+        return table
+
+    a = write(tmp_path / "a.csv", spoil=spoil)
+    assert run("--train", a, *BOTH, "--order", 3, "--profile", "--out", tmp_path / "out") == 0
+    fit = json.loads((tmp_path / "out/fit.json").read_text())
+    jsonschema.validate(fit, json.loads((files("greybox.schemas") / "linear_fit.json").read_text()))
+    poles = [p for p in fit["models"][0]["fit"]["poles"] if p["imag"] >= 0]
+    intervals = fit["models"][0]["profile_intervals"]
+    assert len(intervals) == sum(1 if p["imag"] == 0 else 2 for p in poles)
+    for i in intervals:
+        assert i["lower"] < i["estimate"] < i["upper"]
+    said = capsys.readouterr().out
+    assert "profile interval" in said
+    assert "note: a: 2 missing input samples held" in said
+    assert "not used" not in said
