@@ -32,7 +32,8 @@ JITTERS = (0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
 @dataclass(frozen=True, kw_only=True)
 class Numbers:
     """weights (M,), explained and uncertain (M, M) lower triangular, the jitter added to the diagonal of K(Z, Z), and
-    the log marginal likelihood of the data (a lower bound of it for a sparse posterior; None where it is not known)."""
+    the log marginal likelihood of the data (of a sparse posterior: of its approximate prior, or without correction the lower
+    bound; None where it is not known)."""
 
     weights: FloatArray
     explained: FloatArray
@@ -93,12 +94,16 @@ def collapsed(
     y: FloatArray,
     noise: FloatArray | float,
     *,
+    correction: bool = True,
     jitter: float | None = None,
 ) -> Numbers:
-    """The sparse posterior with the optimal q(u) in closed form (SGPR): all data projected on `support` (n_in, M).
+    """The sparse posterior in closed form: all data projected on `support` (n_in, M).
 
-    Titsias, Variational learning of inducing variables in sparse Gaussian processes (AISTATS 2009). x (n_in, N), y (N,),
-    noise variance (N,) or one for all. O(N M^2) time, O(CHUNK M) memory beyond the data.
+    Titsias, Variational learning of inducing variables in sparse Gaussian processes (AISTATS 2009). With `correction` each
+    sample's noise grows by the variance that the support points leave unexplained there, as in Snelson and Ghahramani
+    (NIPS 2005) and as GPyTorch predicts by default (`sgpr_diagonal_correction`): samples that are badly represented count
+    less. Without, it is the optimal q(u) of the Titsias bound. x (n_in, N), y (N,), noise variance (N,) or one for all.
+    O(N M^2) time, O(CHUNK M) memory beyond the data.
     """
     n, m = len(y), support.shape[1]
     level = np.broadcast_to(np.asarray(noise, dtype=np.float64), (n,))
@@ -107,14 +112,19 @@ def collapsed(
     fit = log_noise = trace = 0.0
     for at in range(0, n, CHUNK):
         part = slice(at, min(at + CHUNK, n))
-        root = np.sqrt(level[part])
-        a = solve_triangular(factor, kernel.covariance(support, x[:, part]), lower=True) / root
+        a = solve_triangular(factor, kernel.covariance(support, x[:, part]), lower=True)
+        left = np.maximum(kernel.prior_variance(x[:, part]).ravel() - (a * a).sum(0), 0.0)
+        if correction:
+            root = np.sqrt(level[part] + left)
+        else:
+            root = np.sqrt(level[part])
+            trace += float((left / level[part]).sum())
+        a /= root
         inner += a @ a.T
         target = y[part] / root
         projected += a @ target
         fit += float(target @ target)
         log_noise += 2.0 * float(np.log(root).sum())
-        trace += float((kernel.prior_variance(x[:, part]).ravel() / level[part]).sum() - (a * a).sum())
     inner_factor, _ = safe_cholesky(inner)
     c = solve_triangular(inner_factor, projected, lower=True)
     likelihood = -0.5 * (
@@ -123,7 +133,7 @@ def collapsed(
         + 2.0 * float(np.log(np.diag(inner_factor)).sum())
         + fit
         - float(c @ c)
-        + max(trace, 0.0)
+        + trace
     )
     half = solve_triangular(inner_factor, c, lower=True, trans="T")
     explained = inverse_factor(factor)

@@ -415,7 +415,7 @@ def train_svgp(
     start comes back with status "diverged".
     """
     torch.manual_seed(seed)
-    closed = sparse.collapsed(kernel, support.T, x.T, y, noise * tau, jitter=SVGP_JITTER)
+    closed = sparse.collapsed(kernel, support.T, x.T, y, noise * tau, correction=False, jitter=SVGP_JITTER)
     factor, _ = sparse.safe_cholesky(kernel.covariance(support.T, support.T), SVGP_JITTER)
     inverse_root = closed.uncertain @ factor
     covariance, likelihood = gpytorch_kernel(kernel), gpytorch_likelihood(noise)
