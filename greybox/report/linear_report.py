@@ -83,7 +83,7 @@ def _model(report: Report, r: Identified) -> None:
                 ]
                 for row in table
             ],
-            caption="held-out: mean of e' Lambda^-1 e + log det Lambda on data that the compared fit did not see",
+            caption="held-out: e' Lambda^-1 e + log det Lambda on data that the compared fit did not see (trimmed mean)",
         )
         report.figures(
             [

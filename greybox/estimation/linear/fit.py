@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.covariance import is_coloured
 from greybox.estimation.linear.order import OrderChoice, choose_order
 from greybox.estimation.linear.pem import Settings, Solution, Status
@@ -22,6 +22,8 @@ from greybox.model.matrices import spectral_radius
 from greybox.symbolic import FloatArray, Layout, Signal
 
 __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
+
+SOLVERS = ("gauss-newton", "ipopt")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,17 +107,21 @@ def fit_linear(
     criterion: str = "bic",
     cross_validate: bool = False,
     center: bool = True,
+    solver: str = "gauss-newton",
     name: str = "linear",
 ) -> LinearFit:
     """Identify a linear model in innovation form by subspace start and prediction error polish.
 
     `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see `choose_order`). `delays`
     are whole samples per input, or "auto" (see `estimate_delays`). `dt` in seconds. `center` takes the pooled means as
-    the operating point. Raises `DataError` (bad records, too short for the order) and `FitError`.
+    the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace start, or from the chosen
+    order: slow, a check. Raises `DataError` (bad records, too short for the order) and `FitError`.
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
     options = options or Options()
+    if solver not in SOLVERS:
+        raise UnknownNameError("solver", solver, SOLVERS)
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     layout_u, layout_y = _layout(inputs, m, "u"), _layout(outputs, p, "y")
     if isinstance(delays, str):
@@ -143,7 +149,11 @@ def fit_linear(
     else:
         if order < 1:
             raise DataError(f"order {order}", expected="at least 1")
-        found = find(scaled, order, options)
+        found = find(scaled, order, replace(options, polish=options.polish and solver == "gauss-newton"))
+    if solver == "ipopt" and options.polish:
+        from greybox.estimation.linear.ipopt import minimise_ipopt
+
+        found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
     return _assemble(found, scaled, scaling, options, choice, dt, layout_u, layout_y, tuple(delays or (0,) * m), name)
 
 
