@@ -7,6 +7,7 @@ inputs and outputs standardised, prior mean zero. Everything is float64 with exa
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ import gpytorch
 import numpy as np
 import torch
 from linear_operator.utils.errors import NanError, NotPSDError
+from linear_operator.utils.warnings import NumericalWarning
 from scipy.optimize import minimize
 
 from greybox.errors import FitError
@@ -186,7 +188,9 @@ def _likelihood_of(x: FloatArray, y: FloatArray, like: Kernel) -> Callable[[Floa
             tensor.grad = None
             at += tensor.numel()
         try:
-            with gpytorch.settings.fast_computations(False, False, False):
+            # A jitter in a corner of the search is no news; the posterior says which jitter it needed.
+            with warnings.catch_warnings(), gpytorch.settings.fast_computations(False, False, False):
+                warnings.simplefilter("ignore", NumericalWarning)
                 loss = sum(-n * mll(model(inputs), model.train_targets) for mll, model in zip(mlls, models))
             loss.backward()
         except (NanError, NotPSDError, RuntimeError) as error:
