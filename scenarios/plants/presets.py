@@ -72,8 +72,8 @@ MEMS = SensorNoise(
     gyro=0.01, accelerometer=0.05, attitude=0.003, position=0.003, velocity=0.02, voltage=0.005, rotor_speed=3.0
 )
 """A small IMU on a soft mount; what a low-cost estimator makes of attitude and position."""
-CALM = ProcessNoise(force=0.002 * 0.9, torque=(0.01 * 8.0e-3, 0.01 * 8.5e-3, 0.01 * 1.45e-2))
-"""Still air for `DUCKIEDRONE`: 0.002 m/s^2 and 0.01 rad/s^2 per root hertz."""
+CALM = ProcessNoise(force=0.0005 * 0.9, torque=(0.01 * 8.0e-3, 0.01 * 8.5e-3, 0.01 * 1.45e-2))
+"""Still air for `DUCKIEDRONE`: 0.0005 m/s^2 and 0.01 rad/s^2 per root hertz."""
 EVERYDAY: tuple[PlantEffect, ...] = (
     ThrustCurve(f=0.35),
     BatterySag(nominal_voltage=11.1, c_V=1.0),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.data.segment import Segment
+from greybox.frames import numeric
 from scenarios.excitation import (
     Doublets,
     Excitation,
@@ -40,8 +41,12 @@ Array = NDArray[np.float64]
 OUTPUTS = ("p", "q", "r", "ax", "ay", "az")
 COMMANDS = ("u1", "u2", "u3", "u4")
 ATTITUDE = ("qw", "qx", "qy", "qz")
-CHANNELS = (*COMMANDS, "vbat", *ATTITUDE, *OUTPUTS)
-"""What every method is given. Position and velocity stay with the flight controller, as in the paper."""
+POSITION = ("x", "y", "z")
+CHANNELS = (*COMMANDS, "vbat", *ATTITUDE, *POSITION, *OUTPUTS)
+"""What was logged. Every method is given all of it; `record` also has roll, pitch and yaw [rad] of the measured
+attitude. The paper does not say what its PEM model was given besides y and u; its GP takes the Euler angles. Position
+is what a flight controller that holds it has at hand; without it nobody could know the velocity, on which drag depends."""
+EULER = ("roll", "pitch", "yaw")
 TRAIN, VALIDATION, TEST = (0.0, 20.0), (20.0, 25.0), (25.0, 30.0)
 """Parts of the record [s]."""
 DT = 0.01
@@ -155,7 +160,9 @@ def paper_data(seed: int, *, noise: bool = True) -> PaperData:
         record_truth=True,
         record_clean=True,
     )
-    record = dataset_from_arrays(log["t"], {name: log[name] for name in CHANNELS}, name=f"seed{seed}")
+    angles = np.unwrap(numeric("euler", np.stack([log[name] for name in ATTITUDE], axis=-1)), axis=0)
+    channels = {name: log[name] for name in CHANNELS} | dict(zip(EULER, angles.T))
+    record = dataset_from_arrays(log["t"], channels, name=f"seed{seed}")
     frame, sensors, process = true_plant.airframe, true_plant.sensors, true_plant.process
     gyro, accelerometer = axes(sensors.gyro), axes(sensors.accelerometer)
     force = [level / np.sqrt(DT) / frame.mass for level in axes(process.force)]

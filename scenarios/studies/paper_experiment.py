@@ -1,0 +1,117 @@
+"""The paper's experiment, honestly: PEM, LSTM, GP and hybrids on a record per seed, beside the paper's table and the floor.
+
+    python -m scenarios.studies.paper_experiment --seeds 10 --out DIR
+
+Every method predicts y(t) from measurements and commands up to t-1 (see paper_data). Results go to DIR, one JSON file and
+one file of predictions per seed; a second call computes only what is missing. Also run: the paper's literal form, whose
+inputs contain the answer (`LEAKS`), and the same experiment without any noise, to see what error is reached there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from greybox.files import read_json, write_json
+from scenarios.studies.paper_data import TEST, paper_data
+from scenarios.studies.paper_figures import draw
+from scenarios.studies.paper_methods import LEAKS, METHODS, Bench, Outcome
+from scenarios.studies.paper_scores import FLOOR, floor, scores, table, verdict
+
+SCHEMA = "greybox.paper_experiment/1"
+
+
+def run_seed(
+    seed: int,
+    folder: Path,
+    methods: Mapping[str, Callable[[Bench], Outcome]],
+    *,
+    noise: bool = True,
+    budget: int = 6,
+    again: Sequence[str] = (),
+    say: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Results of one seed: what the folder already has, plus what is missing (or named in `again`), written back."""
+    stem = f"seed{seed}" if noise else f"quiet{seed}"
+    path, arrays = folder / f"{stem}.json", folder / f"{stem}.npz"
+    result: dict[str, Any] = {"schema": SCHEMA, "seed": seed, "noise": noise, "budget": budget, "methods": {}}
+    kept: dict[str, np.ndarray] = {}
+    if path.exists():
+        result = read_json(path, schema=SCHEMA)
+        if arrays.exists():
+            with np.load(arrays, allow_pickle=False) as file:
+                kept = {name: file[name] for name in file.files}
+    missing = [name for name in methods if name not in result["methods"] or name in again]
+    if not missing:
+        return result
+    data = paper_data(seed, noise=noise)
+    bench = Bench(data=data, budget=budget)
+    result["methods"][FLOOR] = floor(data)
+    for name in missing:
+        with threadpool_limits(limits=1):
+            outcome = methods[name](bench)
+        found = scores(data, outcome)
+        result["methods"][name] = found
+        rows = data.rows(TEST)
+        kept |= {f"{name}|mean": outcome.mean[rows], f"{name}|variance": outcome.variance[rows]}
+        np.savez_compressed(arrays, **kept)  # type: ignore[arg-type]
+        write_json(path, result)
+        say(f"{stem}: {name:24s} to measurement {found['mse']:.3e}, to truth {found['mse_truth']:.3e}")
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run what is missing, print the tables, draw the figures of the first seed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
+    parser.add_argument("--budget", type=int, default=6, help="candidates per method with choices")
+    parser.add_argument("--methods", help="only these, separated by commas")
+    parser.add_argument("--again", default="", help="compute these anew")
+    parser.add_argument("--out", default="paper_experiment", metavar="DIR")
+    options = parser.parse_args(arguments)
+    folder = Path(options.out)
+    folder.mkdir(parents=True, exist_ok=True)
+    known = {**METHODS, **LEAKS}
+    chosen = [n.strip() for n in options.methods.split(",")] if options.methods else list(known)
+    again = [n.strip() for n in options.again.split(",") if n.strip()]
+    unknown = sorted((set(chosen) | set(again)) - set(known))
+    if unknown:
+        parser.error(f"no method {', '.join(unknown)}; there are {', '.join(known)}")
+    picked = {n: known[n] for n in chosen}
+
+    def say(text: str) -> None:
+        print(text, flush=True)
+
+    seeds = range(options.first, options.first + options.seeds)
+    results = [run_seed(s, folder, picked, budget=options.budget, again=again, say=say) for s in seeds]
+    # A leak of y needs no second run without noise, and the floor there is zero.
+    honest = {n: f for n, f in picked.items() if n in METHODS}
+    quiet = [
+        run_seed(s, folder, honest, noise=False, budget=options.budget, again=again, say=say)
+        for s in list(seeds)[: options.quiet_seeds]
+    ]
+    hybrids = [n for n in METHODS if n.startswith("hybrid")]
+    others = [n for n in METHODS if n not in hybrids]
+    print(f"\nTest part, one step ahead, {len(results)} seeds; std: in units of the training variance\n")
+    print(table(results, list(METHODS)))
+    print(f"\n{verdict(results, hybrids, others)}")
+    print("\nNot methods: they see measurements of the instant that they predict\n")
+    print(table(results, list(LEAKS)))
+    print(f"\nWithout sensor and process noise, {len(quiet)} seed(s)\n")
+    print(table(quiet, list(METHODS)))
+    with np.load(folder / f"seed{options.first}.npz", allow_pickle=False) as file:
+        shown = {n: (file[f"{n}|mean"], file[f"{n}|variance"]) for n in METHODS if f"{n}|mean" in file.files}
+    written = draw(folder, paper_data(options.first), shown)
+    print(f"\nfigures: {', '.join(os.fspath(p) for p in written)}")
+
+
+if __name__ == "__main__":
+    main()

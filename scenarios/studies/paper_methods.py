@@ -1,0 +1,398 @@
+"""The methods of the paper's experiment: each takes the same record and predicts every sample from what lies before it.
+
+`METHODS` maps names to functions of a `Bench`, which holds the record and the fits that several methods share. What has
+choices is tuned on 20-25 s with the same number of candidates (`Bench.budget`); nothing looks at 25-30 s. `LEAKS` are no
+methods: they see measurements of the instant that they predict, and show what that alone achieves.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.fit import Fit, fit
+from greybox.estimation.linear.fit import fit_linear
+from greybox.estimation.linear.prediction import k_step
+from greybox.estimation.linear.records import Record
+from greybox.frames import numeric
+from greybox.model.model import build_model
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.residual.narx import search_narx
+from greybox.residual.posterior import GPPosterior
+from greybox.symbolic import Layout, Signal
+from scenarios.plants.vehicle_file import write_vehicle
+from scenarios.studies.paper_data import COMMANDS, EULER, OUTPUTS, POSITION, TRAIN, VALIDATION, PaperData, plant
+
+Array = NDArray[np.float64]
+
+EFFECTS = ("motor_lag", "thrust_curve", "battery_sag", "rotor_drag", "accelerometer_bias", "gyro_bias")
+"""What a practitioner puts into the model; blade flapping, ground effect, inertia products and sensor scales are missed."""
+PAIRS = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
+"""Output -> its input in the decoupled linear model."""
+MIXES = {
+    "roll": (0.0, 1.0, 0.0, -1.0),
+    "pitch": (-1.0, 0.0, 1.0, 0.0),
+    "yaw": (1.0, -1.0, 1.0, -1.0),
+    "collective": (1.0, 1.0, 1.0, 1.0),
+}
+BLACK_BOX_INPUTS = ((*COMMANDS, "vbat", *EULER), (*COMMANDS, "vbat", *EULER, *POSITION))
+"""Half of the candidates of LSTM and GP see the position too; all of it one sample old at least."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Predictions of the whole record, mean and variance (n, 6) of what would be measured, NaN where none is possible.
+
+    parameters: how many numbers were trained; seconds: training, all candidates; microseconds per predicted sample.
+    """
+
+    mean: Array
+    variance: Array
+    parameters: int
+    seconds: float
+    microseconds: float
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(kw_only=True, eq=False)
+class Bench:
+    """One record and what several methods share. budget: candidates that a method with choices may try."""
+
+    data: PaperData
+    budget: int = 6
+    say: Callable[[str], None] = lambda _text: None
+
+    @cached_property
+    def measured(self) -> Array:
+        """The outputs as measured, (n, 6)."""
+        return self.data.segment.matrix(OUTPUTS)
+
+    @cached_property
+    def vehicle(self) -> Vehicle:
+        """What ruler and data sheet say: inertia and torque 10 % too much, thrust 10 % too little."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_vehicle(
+                Path(folder) / "vehicle.toml",
+                plant(),
+                sigma={"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3},
+                errors={"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1},
+            )
+            return read_vehicle(path)
+
+    @cached_property
+    def physics(self) -> Fit:
+        """The nonlinear model, fitted to the training part in innovation form."""
+        train = self.data.part(TRAIN)
+        return fit(build_model(self.vehicle, train.channels, EFFECTS), train)
+
+    @cached_property
+    def filtered(self) -> Filtered:
+        """The whole record under the fitted filter."""
+        return Filter(self.physics.model).run(self.data.segment)
+
+    @cached_property
+    def decoupled(self) -> Outcome:
+        """Six linear models with one input and one output each."""
+        parts = [
+            _linear(self, np.array([MIXES[PAIRS[name]]]).T, (PAIRS[name],), (name,), largest=6) for name in OUTPUTS
+        ]
+        return Outcome(
+            mean=np.concatenate([p.mean for p in parts], axis=1),
+            variance=np.concatenate([p.variance for p in parts], axis=1),
+            parameters=sum(p.parameters for p in parts),
+            seconds=sum(p.seconds for p in parts),
+            microseconds=sum(p.microseconds for p in parts),
+            notes={"orders": [p.notes["order"] for p in parts]},
+        )
+
+    @cached_property
+    def nonlinear(self) -> Outcome:
+        """One-step predictions of the filter of the nonlinear model."""
+        began = time.perf_counter()
+        found = self.physics
+        seconds = time.perf_counter() - began
+        began = time.perf_counter()
+        run, d = self.filtered, found.model.dynamics
+        spent = time.perf_counter() - began
+        return Outcome(
+            mean=run.outputs[:, [d.outputs[n] for n in OUTPUTS]],
+            variance=run.sigma[:, [d.innovations[n] for n in OUTPUTS]] ** 2,
+            parameters=found.n_parameters,
+            seconds=seconds,
+            microseconds=1e6 * spent / self.data.segment.n,
+            notes={
+                "converged": found.converged,
+                "values": {n: e.value for n, e in found.parameters.items()},
+                "std": {n: e.std for n, e in found.parameters.items()},
+                "warnings": list(found.warnings),
+            },
+        )
+
+
+def _linear(bench: Bench, mix: Array, inputs: Sequence[str], outputs: Sequence[str], *, largest: int) -> Outcome:
+    """A linear model in innovation form of `outputs` from mixed commands, the newest of them one sample old."""
+    segment = bench.data.segment
+    record = Record(u=segment.matrix(COMMANDS) @ mix, y=segment.matrix(outputs), name="record")
+    rows = bench.data.rows(TRAIN)
+    train = Record(u=record.u[rows], y=record.y[rows], name="train")
+    began = time.perf_counter()
+    # One sample of delay keeps the command that the controller computed from y(t) out of the prediction of y(t).
+    found = fit_linear([train], "auto", inputs=inputs, outputs=outputs, delays=(1,) * len(inputs), largest=largest)
+    seconds = time.perf_counter() - began
+    mean = np.full((segment.n, len(outputs)), np.nan)
+    began = time.perf_counter()
+    mean[2:] = k_step(found.model, record, [1])[0].predicted
+    spent = time.perf_counter() - began
+    return Outcome(
+        mean=mean,
+        variance=np.broadcast_to(np.diag(found.model.noise), mean.shape).copy(),
+        parameters=found.parameters,
+        seconds=seconds,
+        microseconds=1e6 * spent / segment.n,
+        notes={"order": found.order, "status": found.status.value},
+    )
+
+
+def linear_siso(bench: Bench) -> Outcome:
+    """PEM, decoupled linear models: the paper's."""
+    return bench.decoupled
+
+
+def linear_mimo(bench: Bench) -> Outcome:
+    """PEM, one linear model with four inputs and six outputs."""
+    return _linear(bench, np.eye(4), COMMANDS, OUTPUTS, largest=8)
+
+
+def nonlinear(bench: Bench) -> Outcome:
+    """PEM, the physics model with the effects of `EFFECTS`."""
+    return bench.nonlinear
+
+
+def lstm(bench: Bench) -> Outcome:
+    """LSTM alone."""
+    from greybox.residual.lstm_train import search_lstm
+
+    found = [
+        search_lstm(
+            bench.data.part(TRAIN),
+            bench.data.part(VALIDATION),
+            outputs=OUTPUTS,
+            inputs=inputs,
+            budget=max(1, bench.budget // 2),
+            seed=bench.data.seed,
+            progress=bench.say,
+        )
+        for inputs in BLACK_BOX_INPUTS
+    ]
+    return _black_box(bench, found, [f.report["validation"] for f in found])
+
+
+def gp_narx(bench: Bench) -> Outcome:
+    """GP alone, on past samples."""
+    found = [
+        search_narx(
+            bench.data.part(TRAIN),
+            bench.data.part(VALIDATION),
+            outputs=OUTPUTS,
+            inputs=inputs,
+            budget=max(1, bench.budget // 2),
+            seed=bench.data.seed,
+            progress=bench.say,
+        )
+        for inputs in BLACK_BOX_INPUTS
+    ]
+    return _black_box(bench, found, [min(c["validation"] for c in f.report["search"]) for f in found])
+
+
+def _black_box(bench: Bench, found: Sequence[Any], errors: Sequence[float]) -> Outcome:
+    best = found[int(np.argmin(errors))]
+    began = time.perf_counter()
+    mean, variance = best.one_step(bench.data.segment)
+    spent = time.perf_counter() - began
+    return Outcome(
+        mean=mean,
+        variance=variance,
+        parameters=best.parameters,
+        seconds=sum(f.train_seconds for f in found),
+        microseconds=1e6 * spent / bench.data.segment.n,
+        notes={
+            "settings": best.report["settings"],
+            "inputs": list(best.lags.inputs),
+            "search": [c for f in found for c in f.report["search"]],
+        },
+    )
+
+
+# ------------------------------------------------------------------------------------------------- residual GPs
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """Named columns (n, n_z) that a residual GP may see."""
+
+    names: tuple[str, ...]
+    values: Array
+
+
+def output_residual(
+    bench: Bench,
+    base: Outcome,
+    choices: Mapping[str, Features],
+    budget: int,
+    kernels: Sequence[str] = ("se", "matern52"),
+) -> Outcome:
+    """base + GP on r(t) = y(t) - y_base(t), trained on 0-20 s; features, kernel and size chosen on 20-25 s."""
+    from greybox.residual.train import train_gp
+
+    train, validation = bench.data.rows(TRAIN), bench.data.rows(VALIDATION)
+    residual = bench.measured - base.mean
+    spread = bench.measured[train].var(axis=0)
+    candidates = list(itertools.product(choices, kernels, (100, 200)))
+    chosen = np.random.default_rng(bench.data.seed).permutation(len(candidates))[:budget]
+    began = time.perf_counter()
+    best: tuple[GPPosterior, Features] | None = None
+    lowest, tried = float("inf"), []
+    outputs = Layout([Signal(name=n, unit="rad/s" if n in "pqr" else "m/s^2") for n in OUTPUTS])
+    for index in chosen:
+        which, kernel, points = candidates[index]
+        z = choices[which]
+        gp = train_gp(
+            z.values[train],
+            residual[train],
+            inputs=Layout([Signal(name=n, unit="1") for n in z.names]),
+            outputs=outputs,
+            kernel=kernel,
+            points=points,
+            seed=bench.data.seed,
+            hold_out=0.0,
+        ).posterior
+        error = float(np.mean((residual - gp.evaluate_mean(np.nan_to_num(z.values)))[validation] ** 2 / spread))
+        tried.append({"features": which, "kernel": kernel, "points": points, "validation": error})
+        bench.say(f"residual GP: {tried[-1]}")
+        if error < lowest:
+            best, lowest = (gp, z), error
+    assert best is not None
+    seconds = time.perf_counter() - began
+    gp, z = best
+    mean, variance = base.mean.copy(), base.variance.copy()
+    whole = np.isfinite(z.values).all(axis=1)
+    began = time.perf_counter()
+    added, spread = gp.evaluate(z.values[whole], noise=True)
+    spent = time.perf_counter() - began
+    mean[whole] += added
+    variance[whole] = spread
+    return Outcome(
+        mean=mean,
+        variance=variance,
+        parameters=base.parameters + gp.support.size + gp.weights.size + len(OUTPUTS) * (len(z.names) + 2),
+        seconds=base.seconds + seconds,
+        microseconds=base.microseconds + 1e6 * spent / len(mean),
+        notes={
+            "search": tried,
+            "noise_inflation": list(gp.noise_inflation),
+            "validation_without_gp": float(np.mean(residual[validation] ** 2 / bench.measured[train].var(axis=0))),
+        },
+    )
+
+
+def _before(values: Array) -> Array:
+    """Rows one sample late, NaN in the first."""
+    return np.vstack([np.full((1, values.shape[1]), np.nan), values[:-1]])
+
+
+def hybrid_siso(bench: Bench) -> Outcome:
+    """The paper's hybrid without its leak: decoupled linear PEM + GP on what was known before t."""
+    base, segment = bench.decoupled, bench.data.segment
+    known = _before(segment.matrix((*EULER, *COMMANDS)))
+    paper = Features(
+        names=(*EULER, "p", "q", "r", *COMMANDS), values=np.hstack([known[:, :3], base.mean[:, :3], known[:, 3:]])
+    )
+    more = _before(segment.matrix((*POSITION, "vbat")))
+    wide = Features(
+        names=(*paper.names, "ax", "ay", "az", *POSITION, "vbat"),
+        values=np.hstack([paper.values, base.mean[:, 3:], more]),
+    )
+    return output_residual(bench, base, {"paper": paper, "wide": wide}, bench.budget)
+
+
+def hybrid_nonlinear(bench: Bench) -> Outcome:
+    """Nonlinear PEM + GP on its predicted state x(t|t-1)."""
+    base, run = bench.nonlinear, bench.filtered
+    layout = bench.physics.model.dynamics.states
+
+    def block(name: str, letters: str) -> Array:
+        return run.states[:, [layout[f"{name}.{c}"] for c in letters]]
+
+    attitude = block("attitude", "wxyz")
+    angles, rates, rotors = numeric("euler", attitude), block("rate", "xyz"), block("rotor", "1234")
+    velocity = numeric("rotate_inverse", attitude, block("velocity", "xyz"))
+    commands = _before(bench.data.segment.matrix(COMMANDS))
+    paper = Features(names=(*EULER, "p", "q", "r", *COMMANDS), values=np.hstack([angles, rates, commands]))
+    state = Features(
+        names=("roll", "pitch", "p", "q", "r", "v_x", "v_y", "v_z", "z", "nu1", "nu2", "nu3", "nu4"),
+        values=np.hstack([angles[:, :2], rates, velocity, block("position", "z"), rotors]),
+    )
+    return output_residual(bench, base, {"paper": paper, "state": state}, bench.budget)
+
+
+# -------------------------------------------------------------------------------------------------------- leaks
+
+
+def leak_literal(bench: Bench) -> Outcome:
+    """The paper's form as written: the GP's inputs are attitude, rates and commands measured at the predicted instant."""
+    names = (*EULER, "p", "q", "r", *COMMANDS)
+    seen = Features(names=names, values=bench.data.segment.matrix(names))
+    return output_residual(bench, bench.decoupled, {"paper": seen}, 1)
+
+
+def leak_alone(bench: Bench) -> Outcome:
+    """The same inputs without any model: what the leak achieves by itself."""
+    names = (*EULER, "p", "q", "r", *COMMANDS)
+    seen = Features(names=names, values=bench.data.segment.matrix(names))
+    return output_residual(bench, _nothing(bench), {"paper": seen}, 1)
+
+
+def leak_all(bench: Bench) -> Outcome:
+    """All six outputs of the instant among the inputs: the answer is in the question."""
+    names = (*EULER, *OUTPUTS, *COMMANDS)
+    seen = Features(names=names, values=bench.data.segment.matrix(names))
+    return output_residual(bench, _nothing(bench), {"all": seen}, 1, kernels=("linear+se",))
+
+
+def _nothing(bench: Bench) -> Outcome:
+    """A model that predicts the mean of the training part."""
+    y, rows = bench.measured, bench.data.rows(TRAIN)
+    mean = np.broadcast_to(y[rows].mean(axis=0), y.shape)
+    return Outcome(
+        mean=mean,
+        variance=np.broadcast_to(y[rows].var(axis=0), y.shape),
+        parameters=len(OUTPUTS),
+        seconds=0.0,
+        microseconds=0.0,
+    )
+
+
+METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
+    "PEM linear SISO": linear_siso,
+    "PEM linear MIMO": linear_mimo,
+    "PEM nonlinear": nonlinear,
+    "LSTM": lstm,
+    "GP": gp_narx,
+    "hybrid linear SISO": hybrid_siso,
+    "hybrid nonlinear": hybrid_nonlinear,
+}
+LEAKS: Mapping[str, Callable[[Bench], Outcome]] = {
+    "paper's form, leaking": leak_literal,
+    "its leak alone": leak_alone,
+    "y(t) among the inputs": leak_all,
+}
