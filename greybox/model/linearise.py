@@ -107,7 +107,8 @@ def linearise(
 ) -> LinearModel:
     """The sampled linear model around a trim point, exact Jacobians; K = 0 and Lambda = identity unless `noise` is given.
 
-    `outputs` and `states` select by name; states that are left out must not act on those that stay (`ModelError`).
+    Outputs are the innovation components of the model: a measured quaternion gives three small angles about the trim
+    attitude. `outputs` and `states` select by name; states that are left out must not act on those that stay (`ModelError`).
     A command delay of the model is not part of the matrices: linearise the model without it, and use `delays`.
     """
     p = _vector(model, values)
@@ -122,12 +123,14 @@ def linearise(
                 f"states left out act on those that stay (entry {acting:.3g})", fix="keep them, or trim elsewhere"
             )
         a, b, c = a[np.ix_(keep, keep)], b[keep], c[:, keep]
-    layout = model.outputs
+    layout = model.innovations
+    y = np.asarray(_output_function(model, dt)(point.x, point.u, p)).ravel()
+    plain = [columns == (name,) for name, columns in zip(layout.names, model.innovation_columns)]
+    y0 = np.array([y[model.outputs[n]] if same else 0.0 for n, same in zip(layout.names, plain)])
     if outputs is not None:
         rows = [layout[n] for n in outputs]
-        c, d = c[rows], d[rows]
+        c, d, y0 = c[rows], d[rows], y0[rows]
         layout = Layout([layout.signals[i] for i in rows])
-    y0 = np.asarray(_output_function(model, dt)(point.x, point.u, p)).ravel()
     p_out = len(layout)
     return LinearModel(
         name=f"{model.name} at trim",
@@ -137,7 +140,7 @@ def linearise(
         inputs=model.inputs,
         outputs=layout,
         input_offset=point.u,
-        output_offset=y0 if outputs is None else y0[[model.outputs[n] for n in outputs]],
+        output_offset=y0,
     )
 
 

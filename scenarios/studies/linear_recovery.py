@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from greybox.estimation.linear.fit import fit_linear
 from greybox.estimation.linear.order import choose_order
@@ -78,30 +79,37 @@ def one_run(seed: int, n: int, size: int, closed: bool, *, count: int = 3000, or
 
 
 def coverage(known: Any, truth: LinearTruth) -> dict[str, list[bool]]:
-    """Hits of the 95 % intervals, by kind of quantity; poles are paired with the nearest true pole."""
-    poles, hits = known.poles(), []
-    left = list(np.linalg.eigvals(truth.a))
-    for value, cov in zip(poles.value, poles.covariance):
-        i = int(np.argmin([abs(value - t) for t in left]))
-        error = value - left.pop(i)
+    """Hits of the 95 % intervals, by kind of quantity; all poles are paired with the true ones at the least total distance.
+
+    `poles` are all of them, `sure_poles` those that the fit calls well determined.
+    """
+    poles, hits, sure_hits = known.poles(), [], []
+    exact = np.linalg.eigvals(truth.a)
+    pairs = linear_sum_assignment(np.abs(poles.value[:, None] - exact[None]))
+    sure = known.well_determined()
+    for i, j in zip(*pairs):
+        value, cov, error = poles.value[i], poles.covariance[i], poles.value[i] - exact[j]
         if value.imag < 0:
             continue
-        hits.append(bool(abs(error.real) <= Z95 * np.sqrt(cov[0, 0])))
+        here = [bool(abs(error.real) <= Z95 * np.sqrt(cov[0, 0]))]
         if value.imag > 0:
-            hits.append(bool(abs(error.imag) <= Z95 * np.sqrt(cov[1, 1])))
+            here.append(bool(abs(error.imag) <= Z95 * np.sqrt(cov[1, 1])))
+        hits += here
+        sure_hits += here if sure[i] else []
     n = len(truth.a)
     bode = known.bode(FREQUENCIES, 1.0)
-    exact = np.array(
+    response = np.array(
         [truth.c @ np.linalg.solve(np.exp(2j * np.pi * f) * np.eye(n) - truth.a, truth.b) for f in FREQUENCIES]
     )
-    gain = np.abs(np.log(bode["magnitude"] / np.abs(exact))) <= Z95 * bode["log_magnitude_std"]
-    turn = np.angle(np.exp(1j * (bode["phase"] - np.angle(exact))))
+    gain = np.abs(np.log(bode["magnitude"] / np.abs(response))) <= Z95 * bode["log_magnitude_std"]
+    turn = np.angle(np.exp(1j * (bode["phase"] - np.angle(response))))
     phase = np.abs(turn) <= Z95 * bode["phase_std"]
     steady, cov0 = known.response(np.zeros(1), 1.0)
     at_zero = truth.c @ np.linalg.solve(np.eye(n) - truth.a, truth.b)
     dc = np.abs(steady[0].real - at_zero) <= Z95 * np.sqrt(cov0[0, :, :, 0, 0])
     return {
         "poles": hits,
+        "sure_poles": sure_hits,
         "ln_gain": [bool(v) for v in gain.ravel()],
         "phase": [bool(v) for v in phase.ravel()],
         "steady_gain": [bool(v) for v in dc.ravel()],
@@ -117,6 +125,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         hits = [h for r in rows for h in r[kind]]
         lines.append(f"coverage {kind}: {100 * np.mean(hits):.2f} % of {len(hits)} intervals")
         everything += hits
+    sure = [h for r in rows for h in r["sure_poles"]]
+    lines.append(f"coverage of well determined poles: {100 * np.mean(sure):.2f} % of {len(sure)} intervals")
     for r in rows:
         own = [h for kind in ("poles", "ln_gain", "phase", "steady_gain") for h in r[kind]]
         pooled.append(float(np.mean(own)))

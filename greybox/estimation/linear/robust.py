@@ -22,7 +22,7 @@ from greybox.symbolic import FloatArray
 LARGEST = 40_000_000
 """Most numbers that the sensitivities of one record may hold (320 MB)."""
 FEWEST = 20
-"""Fewest windows of correlation that the data must hold for their scatter to say anything."""
+"""Fewest windows that the samples must fill for their scatter to say anything; a longer window is cut to that."""
 
 
 def score_covariance(
@@ -30,12 +30,13 @@ def score_covariance(
 ) -> FloatArray | None:
     """M (d, d) along the tangent of the solution, initial states and offsets projected off; Bartlett window of that length.
 
-    None where there are fewer than `FEWEST` windows or a record is too long for its sensitivities to be held.
+    None where there are too few samples for any window, or a record is too long for its sensitivities to be held.
     """
     n, m, p = solution.system.sizes
     width = n * (n + m + p) + p * (n + m)
     samples = sum(len(r) for r in records)
-    if samples < FEWEST * window or max(len(r) for r in records) * p * width > LARGEST:
+    window = min(window, samples // FEWEST)
+    if window < 4 or max(len(r) for r in records) * p * width > LARGEST:
         return None
     keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
     total = np.zeros((solution.tangent.shape[1],) * 2)
@@ -60,7 +61,7 @@ def score_covariance(
 
 
 def correlation_window(innovations: Sequence[FloatArray]) -> int:
-    """Twice the last lag at which some channel's autocorrelation stands out of +-2.6 / sqrt(N), at least 4 samples.
+    """Twice the lag after which every channel's autocorrelation stays within +-2.6 / sqrt(N) for 3 lags, at least 4.
 
     `innovations`: records (N_i, p), NaN = missing. Lags up to an eighth of the longest record, at most 500, are looked at.
     """
@@ -76,6 +77,6 @@ def correlation_window(innovations: Sequence[FloatArray]) -> int:
             quiet = 0 if abs(r) > band else quiet + 1
             if quiet == 0:
                 last = max(last, lag)
-            if quiet >= 10:
+            if quiet >= 3:
                 break
     return max(2 * last, 4)
