@@ -1,13 +1,17 @@
 """How good and how fast is linear identification next to its Python peers, on the same records in the same run?
 
     pip install nfoursid sippy_unipi llsi jax-sysid     (in an environment of their own, with greybox on PYTHONPATH)
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/linear_peers.py --out linear_peers.json
+    python benchmarks/linear_peers.py --out linear_peers.json
 
-Truth: order 6, 4 inputs, 3 outputs, coloured disturbance, 20 dB; 3000 samples to train, 3000 to test, open and closed
-loop. Each method gives A, B, C, D and, where it has one, K (nfoursid: the Riccati gain of its noise covariances;
-jax-sysid has no noise model, K = 0; llsi's n4sid refuses several inputs, which the table says). Score: log det of the
-one-step innovation covariance on the test record, initial state by least squares for all alike. The standard error of
-the difference to greybox is a block bootstrap (blocks of 50 samples, 300 draws). Time: identification only, best of two.
+Truths: three random systems of order 6 with 4 inputs and 3 outputs, and three of order 4 with one input and one output (so
+that llsi, whose n4sid refuses several inputs, takes part); coloured disturbance, 20 dB; 3000 samples to train, 3000 to
+test, open and closed loop, orders 2-8. Each method gives A, B, C, D and, where it has one, K (nfoursid: the Riccati gain of
+its noise covariances; jax-sysid and llsi have no noise model, K = 0). Score: log det of the one-step innovation covariance
+on the test record, initial state by least squares for all alike. The feedback acts on the same sample, so that a free D lets
+u[k] tell of e[k]: a method that returns D (nfoursid, llsi) is compared to greybox with D free, the others to greybox with
+D = 0. The standard error of the difference is a block bootstrap (blocks of 50 samples, 300 draws). Time: processor seconds
+of identification only, best of three, one thread; "greybox fit_linear" is the same with robust covariance, whiteness and
+warnings, which no peer has.
 """
 
 # ruff: noqa: E402
@@ -30,10 +34,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.estimation.linear.fit import fit_linear
+from greybox.estimation.linear.fit import Options, fit_linear
 from greybox.estimation.linear.pem import Settings, start_nuisances
 from greybox.estimation.linear.predictor import predict
 from greybox.estimation.linear.records import Record, prepare
+from greybox.estimation.linear.search import find
 from greybox.estimation.linear.subspace import subspace
 from greybox.model.matrices import Matrices, spectral_radius, steady_gain
 from scenarios.plants.linear_systems import random_system, simulate, stabilising_feedback
@@ -42,6 +47,17 @@ Identify = Callable[[np.ndarray, np.ndarray, int], Matrices]
 
 
 def ours(u, y, n):
+    scaled, scale = prepare([Record(u=u, y=y)])
+    return find(scaled, n, Options()).solution.system.scaled(1 / scale.input_scale, 1 / scale.output_scale)
+
+
+def ours_direct(u, y, n):
+    scaled, scale = prepare([Record(u=u, y=y)])
+    options = Options(feedthrough=True)
+    return find(scaled, n, options).solution.system.scaled(1 / scale.input_scale, 1 / scale.output_scale)
+
+
+def ours_complete(u, y, n):
     return fit_linear([Record(u=u, y=y)], n).model.matrices
 
 
@@ -106,6 +122,8 @@ def jax_sysid(u, y, n):
 
 METHODS: dict[str, Identify] = {
     "greybox subspace + PEM": ours,
+    "greybox with D": ours_direct,
+    "greybox fit_linear": ours_complete,
     "greybox subspace (ssarx)": ours_subspace("ssarx"),
     "greybox subspace (pbsid)": ours_subspace("pbsid"),
     "nfoursid": nfoursid,
@@ -139,67 +157,108 @@ def difference_error(e: np.ndarray, base: np.ndarray, rng: np.random.Generator) 
     return float(np.std([log_det(e[i]) - log_det(base[i]) for i in draws], ddof=1))
 
 
+SYSTEMS = {"MIMO": (6, 4, 3), "SISO": (4, 1, 1)}
+"""Order, inputs, outputs."""
+BASE = "greybox subspace + PEM"
+STEP = "greybox subspace (pbsid)"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--orders", default="2,3,4,5,6,7,8")
     parser.add_argument("--methods", default=",".join(METHODS))
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--systems", default=",".join(SYSTEMS))
+    parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--out", default=None)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
-    rng = np.random.default_rng(arguments.seed)
-    truth = random_system(rng, 6, 4, 3)
+    names = arguments.methods.split(",")
     rows = []
-    for loop in ("open", "closed"):
-        feedback = stabilising_feedback(rng, truth) if loop == "closed" else None
-        u, y = simulate(rng, truth, 6000, feedback=feedback)
-        train, test = (u[:3000], y[:3000]), (u[3000:], y[3000:])
-        for n in (int(v) for v in arguments.orders.split(",")):
-            base = None
-            for name in arguments.methods.split(","):
-                seconds, system, problem = [], None, ""
-                for _ in range(1 if name == "jax-sysid" else 2):
-                    started = time.perf_counter()
-                    try:
-                        with contextlib.redirect_stdout(io.StringIO()):
-                            system = METHODS[name](*train, n)
-                    except Exception as error:
-                        problem = f"{type(error).__name__}: {error}"
-                    seconds.append(time.perf_counter() - started)
-                row = {"loop": loop, "order": n, "method": name, "seconds": min(seconds)}
-                if system is None:
-                    row["problem"] = problem[:120]
-                else:
-                    e = innovations(system, *test)
-                    if base is None:
-                        base = e
-                    row["log_det"] = log_det(e) if np.isfinite(e).all() else float("inf")
-                    row["minus_greybox"] = row["log_det"] - log_det(base)
-                    row["std_error"] = difference_error(e, base, rng) if np.isfinite(e).all() else float("nan")
-                rows.append(row)
-                print(
-                    f"{loop:6} n={n} {name:26} {row['seconds']:8.3f} s  log det {row.get('log_det', np.nan):9.4f}  "
-                    f"minus greybox {row.get('minus_greybox', np.nan):+9.4f} +- {row.get('std_error', np.nan):.4f} "
-                    f"{row.get('problem', '')}",
-                    flush=True,
-                )
-    print("\nmedian seconds over orders and loops, and ratio to greybox subspace / subspace + PEM")
-    median = {
-        m: float(np.median([r["seconds"] for r in rows if r["method"] == m])) for m in arguments.methods.split(",")
-    }
-    for name, value in median.items():
-        print(
-            f"{name:26} {value:8.3f} s  x{value / median.get('greybox subspace (pbsid)', np.nan):7.1f}"
-            f"  x{value / median.get('greybox subspace + PEM', np.nan):7.1f}"
-        )
+    for kind in arguments.systems.split(","):
+        for seed in (int(v) for v in arguments.seeds.split(",")):
+            rng = np.random.default_rng(seed)
+            truth = random_system(rng, *SYSTEMS[kind])
+            for loop in ("open", "closed"):
+                feedback = stabilising_feedback(rng, truth) if loop == "closed" else None
+                u, y = simulate(rng, truth, 6000, feedback=feedback)
+                for n in (int(v) for v in arguments.orders.split(",")):
+                    label = {"system": kind, "seed": seed, "loop": loop, "order": n}
+                    rows += compare(label, names, (u[:3000], y[:3000]), (u[3000:], y[3000:]), rng)
+    summary = {kind: summarise([r for r in rows if r["system"] == kind], kind) for kind in arguments.systems.split(",")}
     worse = [r for r in rows if r.get("minus_greybox", 0.0) < -2 * r.get("std_error", np.inf)]
-    print(f"cases in which a method is better than greybox subspace + PEM beyond two standard errors: {len(worse)}")
+    peers = sum("minus_greybox" in r and not r["method"].startswith("greybox") for r in rows)
+    print(
+        f"cases in which a method is better than {BASE} beyond two standard errors: {len(worse)} (peer fits: {peers})"
+    )
     for r in worse:
         print("  ", r)
     if arguments.out:
         with open(arguments.out, "w", encoding="utf-8") as stream:
-            json.dump({"rows": rows, "median_seconds": median}, stream, indent=1)
+            json.dump(
+                {"summary": summary, "better_than_greybox": worse, "peer_fits": peers, "rows": rows}, stream, indent=1
+            )
     return 0
+
+
+def compare(label, names, train, test, rng) -> list[dict]:
+    """One row per method: seconds, log det on the test record, its difference to greybox with standard error."""
+    rows, base = [], {}
+    for name in names:
+        seconds, system, problem = [], None, ""
+        for _ in range(1 if name == "jax-sysid" else 3):
+            started = time.process_time()
+            try:
+                with contextlib.redirect_stdout(io.StringIO()):
+                    system = METHODS[name](*train, label["order"])
+            except Exception as error:
+                problem = f"{type(error).__name__}: {error}"
+            seconds.append(time.process_time() - started)
+        row = {**label, "method": name, "seconds": min(seconds)}
+        if system is None:
+            row["problem"] = problem[:120]
+        else:
+            e = innovations(system, *test)
+            direct = bool(np.any(system.d))
+            own = base.setdefault(direct, e)
+            row["log_det"] = log_det(e) if np.isfinite(e).all() else float("inf")
+            row["minus_greybox"] = row["log_det"] - log_det(own)
+            row["std_error"] = difference_error(e, own, rng) if np.isfinite(e).all() else float("nan")
+        rows.append(row)
+        print(
+            f"{label['system']} {label['seed']} {label['loop']:6} n={label['order']} {name:26} {row['seconds']:8.4f} s  "
+            f"log det {row.get('log_det', np.nan):9.4f}  minus greybox {row.get('minus_greybox', np.nan):+9.4f} "
+            f"+- {row.get('std_error', np.nan):.4f} {row.get('problem', '')}",
+            flush=True,
+        )
+    return rows
+
+
+def summarise(rows: list[dict], kind: str) -> dict:
+    """Per method: median seconds, and how many times slower it is than greybox: per case, then median and range."""
+    case = {(r["method"], r["seed"], r["loop"], r["order"]): r["seconds"] for r in rows if "problem" not in r}
+    orders = sorted({r["order"] for r in rows})
+    out: dict = {}
+    print(f"\n{kind}: median seconds; ratio to {STEP} (median); ratio to {BASE}: median, worst case, median per order")
+    for name in dict.fromkeys(r["method"] for r in rows):
+        keys = [k[1:] for k in case if k[0] == name]
+        if not keys:
+            continue
+        whole = {k: case[name, *k] / case[BASE, *k] for k in keys if (BASE, *k) in case}
+        step = [case[name, *k] / case[STEP, *k] for k in keys if (STEP, *k) in case]
+        by_order = {n: float(np.median([v for k, v in whole.items() if k[2] == n])) for n in orders}
+        out[name] = {
+            "median_seconds": float(np.median([case[name, *k] for k in keys])),
+            "ratio_to_subspace": float(np.median(step)) if step else None,
+            "ratio": float(np.median(list(whole.values()))),
+            "worst_ratio": min(whole.values()),
+            "ratio_by_order": by_order,
+        }
+        o = out[name]
+        print(
+            f"{name:26} {o['median_seconds']:8.4f} s  x{o['ratio_to_subspace'] or np.nan:7.1f}  x{o['ratio']:6.1f} "
+            f"x{o['worst_ratio']:6.2f}  " + " ".join(f"{n}:{v:.1f}" for n, v in by_order.items())
+        )
+    return out
 
 
 if __name__ == "__main__":

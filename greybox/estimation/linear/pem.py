@@ -31,8 +31,11 @@ from greybox.symbolic import FloatArray
 
 FIRST_DAMPING = 1e-3
 """Of a Hessian scaled to unit information."""
-FLAT_GAIN = 0.05
-"""Gain of three steps, in -2 log likelihood, below which the iteration ends as `Status.FLAT`."""
+FLAT_GAIN = 0.5
+"""Gain of a step, in -2 log likelihood, below which the iteration ends as `Status.FLAT` where the Hessian has negative
+curvature: half of what one parameter without meaning gains on average. At most 50 times the tolerance."""
+SLOW_GAIN = 0.05
+"""Gain of three steps together below which it ends so at any curvature; at most 5 times the tolerance."""
 
 
 class Status(Enum):
@@ -40,8 +43,8 @@ class Status(Enum):
 
     CONVERGED = "converged: a further step would change the estimate by less than a tenth of a standard error"
     FLAT = (
-        "not converged: the last three steps together gained less than 0.05 of -2 log likelihood although the gradient is "
-        "not zero; the data hardly determine some direction: lower the order"
+        "not converged: the steps gain next to nothing although the likelihood is not at a maximum, because the data hardly "
+        "determine some direction: lower the order"
     )
     STALLED = (
         "not converged: no step improves the likelihood although the gradient is not zero; the model may sit at the "
@@ -273,7 +276,10 @@ def minimise(
         if decrement < tolerance and model.convex:
             status = Status.CONVERGED
             break
-        if len(gains) >= 3 and sum(gains[-3:]) < FLAT_GAIN:
+        if gains and (
+            (gains[-1] < min(FLAT_GAIN, 50 * tolerance) and not model.convex)
+            or (len(gains) >= 3 and sum(gains[-3:]) < min(SLOW_GAIN, 5 * tolerance))
+        ):
             status = Status.FLAT
             break
         if iteration >= settings.max_iterations:

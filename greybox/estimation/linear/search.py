@@ -65,6 +65,7 @@ def decompose(records: Sequence[Record], largest: int, options: Options) -> list
                     order=largest,
                     feedthrough=options.feedthrough,
                     noise_model=options.noise_model,
+                    varx=next((s.varx for s in out if s.varx is not None), None),
                 )
             )
         except DataError as error:

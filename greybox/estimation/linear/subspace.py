@@ -24,7 +24,7 @@ import scipy.linalg as sla
 
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.varx import Varx, fit_varx, lagged
+from greybox.estimation.linear.varx import Varx, fit_varx, lagged, triangle
 from greybox.model.matrices import Matrices, spectral_radius, steady_gain
 from greybox.symbolic import FloatArray
 
@@ -77,18 +77,19 @@ def subspace(
     order: int = 1,
     feedthrough: bool = True,
     noise_model: bool = True,
+    varx: Varx | None = None,
 ) -> Subspace:
     """Decompose the records. `past` None takes the AIC order of a VARX; `future` None takes the same.
 
     `order` is the largest order that will be asked for: the horizons are widened to carry it. Missing outputs are
-    interpolated for this start only. Raises `DataError` where the records are too short.
+    interpolated for this start only. `varx` is that of another method on the same records, to save its time. Raises
+    `DataError` where the records are too short.
     """
     filled = tuple(_filled(r) for r in records)
     m, p = filled[0].u.shape[1], filled[0].y.shape[1]
     least = -(-(order + 1) // p) + 1
-    varx = None
     if past is None or method in ("ssarx", "pbsid"):
-        varx = fit_varx(filled, past=past, feedthrough=feedthrough)
+        varx = varx or fit_varx(filled, past=past, feedthrough=feedthrough)
         if varx.past < least:
             varx = fit_varx(filled, past=least, feedthrough=feedthrough)
     span = max(varx.past if varx is not None else 0, past or 0, least)
@@ -137,7 +138,7 @@ def _open_loop(records: Sequence[Record], method: Method, past: int, future: int
     data = np.vstack(blocks)
     m, p = records[0].u.shape[1], records[0].y.shape[1]
     nu, nzp = future * m, past * (m + p)
-    tri = sla.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][: data.shape[1]] / np.sqrt(len(data))
+    tri = triangle(data) / np.sqrt(len(data))
     r12, r22, r23 = tri[:nu, nu : nu + nzp], tri[nu : nu + nzp, nu : nu + nzp], tri[nu : nu + nzp, nu + nzp :]
     r33 = tri[nu + nzp :, nu + nzp :]
     diagonal = np.abs(np.diag(r22))
@@ -159,21 +160,21 @@ def _open_loop(records: Sequence[Record], method: Method, past: int, future: int
 
 def _ssarx(records: Sequence[Record], varx: Varx, future: int) -> tuple[FloatArray, FloatArray]:
     """Jansson (2003), "Subspace identification and ARX modeling": take off what u and y after k bring, then CCA."""
-    past, p = varx.past, varx.noise.shape[0]
+    past, (p, nz) = varx.past, varx.theta.shape[1:]
+    m = nz - p
+    clean = np.zeros((future, nz, future, p))
+    for i in range(future):
+        clean[i, :m, i], clean[i, m:, i] = -varx.d.T, np.eye(p)
+        for j in range(1, min(i, past) + 1):
+            clean[i - j, :, i] = -varx.theta[j - 1].T
+    taken = clean.reshape(future * nz, future * p)
     blocks = []
     for r in records:
-        z = np.hstack([r.u, r.y])
-        rows = len(r) - past - future + 1
-        clean = []
-        for i in range(future):
-            y = r.y[past + i : past + i + rows] - r.u[past + i : past + i + rows] @ varx.d.T
-            for j in range(1, min(i, past) + 1):
-                y = y - z[past + i - j : past + i - j + rows] @ varx.theta[j - 1].T
-            clean.append(y)
-        blocks.append(np.hstack([lagged(r, past, last=len(r) - future), *clean]))
+        after = _future(r, np.hstack([r.u, r.y]), past, future)
+        blocks.append(np.hstack([lagged(r, past, last=len(r) - future), after @ taken]))
     data = np.vstack(blocks)
     nzp = data.shape[1] - future * p
-    tri = sla.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][: data.shape[1]] / np.sqrt(len(data))
+    tri = triangle(data) / np.sqrt(len(data))
     r11, r12, r22 = tri[:nzp, :nzp], tri[:nzp, nzp:], tri[nzp:, nzp:]
     diagonal = np.abs(np.diag(r11))
     if diagonal.min() > 1e-10 * diagonal.max():
@@ -189,7 +190,7 @@ def _pbsid(records: Sequence[Record], varx: Varx, future: int) -> tuple[FloatArr
     past, (p, nz) = varx.past, varx.theta.shape[1:]
     ahead = min(future, past)
     rows = np.vstack([lagged(r, past) for r in records])
-    tri = sla.qr(rows, mode="r", overwrite_a=True, check_finite=False)[0][: past * nz] / np.sqrt(len(rows))
+    tri = triangle(rows) / np.sqrt(len(rows))
     product = np.zeros((ahead * p, past * nz))
     for i in range(ahead):
         for j in range(1, past - i + 1):

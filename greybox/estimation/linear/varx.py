@@ -159,15 +159,26 @@ def _rows(record: Record, past: int, feedthrough: bool) -> FloatArray:
 
 def _aic(r: FloatArray, rows: int, head: int, nz: int, limit: int, p: int) -> int:
     columns = head + limit * nz
-    best, chosen = np.inf, 1
-    for order in range(1, limit + 1):
-        used = head + order * nz
-        rest = r[used:, columns:]
-        sign, value = np.linalg.slogdet(rest.T @ rest / rows + 1e-300 * np.eye(p))
-        score = rows * (value if sign > 0 else -np.inf) + 2 * p * used
-        if score < best:
-            best, chosen = score, order
-    return chosen
+    tail = r[head:columns, columns:].reshape(limit, nz, p)
+    sums = np.cumsum(np.einsum("kai,kaj->kij", tail, tail)[::-1], axis=0)[::-1]
+    last = r[columns:, columns:]
+    rest = np.concatenate([sums[1:], np.zeros((1, p, p))]) + last.T @ last
+    sign, value = np.linalg.slogdet(rest / rows + 1e-300 * np.eye(p))
+    used = head + nz * np.arange(1, limit + 1)
+    return 1 + int(np.argmin(rows * np.where(sign > 0, value, -np.inf) + 2 * p * used))
+
+
+def triangle(data: FloatArray) -> FloatArray:
+    """R of data = Q R, (columns, columns): by the Cholesky factor of data'data, by QR where squaring would cost digits."""
+    if len(data) > data.shape[1]:
+        gram = data.T @ data
+        try:
+            root = np.linalg.cholesky(gram).T
+        except np.linalg.LinAlgError:
+            root = np.zeros((1, 1))
+        if np.diag(root).min() > 1e-5 * np.sqrt(np.diag(gram).max()):
+            return np.asarray(root)
+    return np.asarray(sla.qr(data, mode="r", check_finite=False)[0][: data.shape[1]])
 
 
 def _solve_triangular(tri: FloatArray, right: FloatArray) -> FloatArray:
