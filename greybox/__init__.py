@@ -27,6 +27,9 @@ _PUBLIC = {
     "Layout": "greybox.symbolic",
     "Signal": "greybox.symbolic",
     "IdentifiedModel": "greybox.model.identified",
+    "load_model": "greybox.residual.files",
+    "save_model": "greybox.residual.files",
+    "learn": "greybox.residual.learn",
     "fit": "greybox.estimation.fit",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
@@ -53,10 +56,13 @@ __all__ = [
     "dataset_from_arrays",
     "fit",
     "fit_report",
+    "learn",
     "load_effects",
+    "load_model",
     "read_log",
     "read_logs",
     "read_vehicle",
+    "save_model",
     "validate",
 ]
 
@@ -73,6 +79,8 @@ if TYPE_CHECKING:
     from greybox.model.parameter import Parameter, ParameterValues
     from greybox.model.vehicle import Vehicle, read_vehicle
     from greybox.report.fit_report import fit_report
+    from greybox.residual.files import load_model, save_model
+    from greybox.residual.learn import learn
     from greybox.symbolic import Layout, Signal
     from greybox.validation.validate import validate
 

@@ -51,11 +51,11 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.logs import read_logs
     from greybox.files import dump_json, write_json
     from greybox.model.effects_file import load_effects
-    from greybox.model.identified import IdentifiedModel
+    from greybox.residual.files import load_model
     from greybox.validation.validate import validate
 
     own = [e for path in arguments.effects_file for e in load_effects(path)]
-    model = IdentifiedModel.load(arguments.model, effects=own)
+    model = load_model(arguments.model, effects=own)
     dataset = read_logs(
         arguments.log, model.physics.vehicle, rate=arguments.rate or 1.0 / model.sample_time,
         trim=not arguments.keep_ground,

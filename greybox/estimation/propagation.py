@@ -46,7 +46,7 @@ class Propagator:
     """Propagates mean and covariance of an identified model through a horizon.
 
     `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation to the flight.
-    `parameters=False` leaves the parameters' uncertainty out.
+    `parameters=False` leaves the parameters' uncertainty out. `noise` (n_w) replaces the model's process-noise levels.
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class Propagator:
         *,
         extra: Mapping[str, float] | None = None,
         parameters: bool = True,
+        noise: FloatArray | None = None,
         use_compiler: bool = True,
     ) -> None:
         model = runner.model
@@ -67,8 +68,10 @@ class Propagator:
             model.reference_state, window, model.parameter_vector(), model.sample_time
         )
         self.push, self.through = g, d
-        self.noise = (g * model.process_noise**2) @ g.T
-        self.seen = (d * model.process_noise**2) @ d.T + np.diag(model.sensor_noise**2)
+        if noise is None:
+            noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
+        self.noise = (g * noise**2) @ g.T
+        self.seen = (d * noise**2) @ d.T + np.diag(model.sensor_noise**2)
         self._learned = _learned_spread(model.dynamics)
 
     def run(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int) -> Iterator[Ahead]:

@@ -50,7 +50,9 @@ class IdentifiedModel:
     values of each training flight, `flight_spread` name -> (mean, standard deviation between flights). `covariance`
     belongs to `covariance_names` (shared parameters). `process_noise` (n_w) and `sensor_noise` (n_e) are standard
     deviations per sample of `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak`
-    (n_d) are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
+    (n_d) are the standard deviations of the pseudo-measurement that keeps undetectable states finite. `horizon_noise`
+    (n_w) replaces `process_noise` where uncertainty is propagated without measurements (calibrated on multi-step errors);
+    None: the same.
     """
 
     dynamics: Dynamics
@@ -62,6 +64,7 @@ class IdentifiedModel:
     process_noise: FloatArray
     sensor_noise: FloatArray
     weak: FloatArray
+    horizon_noise: FloatArray | None = None
     reference_state: FloatArray
     reference_inputs: FloatArray
     sample_time: float
@@ -82,8 +85,11 @@ class IdentifiedModel:
 
     @cached_property
     def physics(self) -> Any:
-        """The model without its disturbance states."""
-        return self.dynamics.inner if isinstance(self.dynamics, Disturbed) else self.dynamics
+        """The innermost model: without disturbance states and learned parts."""
+        dynamics: Any = self.dynamics
+        while hasattr(dynamics, "inner"):
+            dynamics = dynamics.inner
+        return dynamics
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
@@ -101,6 +107,9 @@ class IdentifiedModel:
     def to_dict(self) -> dict[str, Any]:
         """Plain values of the model file. Raises `ModelError` for a model that is not made of catalogue parts."""
         physics = self.physics
+        core = self.dynamics.inner if isinstance(self.dynamics, Disturbed) else self.dynamics
+        if core is not physics:
+            raise ModelError("a model with a learned part is saved by save_model", got=self.name)
         if not isinstance(physics, PhysicsModel):
             raise ModelError(
                 "only models made of catalogue parts can be saved",
@@ -129,6 +138,9 @@ class IdentifiedModel:
             "per_flight": {k: dict(v) for k, v in self.per_flight.items()},
             "flight_spread": {k: list(v) for k, v in self.flight_spread.items()},
             "process_noise": dict(zip(self.dynamics.noises.names, self.process_noise.tolist(), strict=True)),
+            "horizon_noise": None
+            if self.horizon_noise is None
+            else dict(zip(self.dynamics.noises.names, self.horizon_noise.tolist(), strict=True)),
             "sensor_noise": dict(zip(self.dynamics.innovations.names, self.sensor_noise.tolist(), strict=True)),
             "weak": self.weak.tolist(),
             "reference": {"state": self.reference_state.tolist(), "inputs": self.reference_inputs.tolist()},
@@ -155,6 +167,8 @@ class IdentifiedModel:
     @staticmethod
     def from_dict(data: Mapping[str, Any], *, where: str = "model", effects: Iterable[Effect] = ()) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
+        if data.get("kind") == "hybrid":
+            raise FileFormatError("a model with a learned part", where=where, fix="read it with greybox.load_model")
         if data.get("kind") != "physics":
             raise FileFormatError("unknown kind of model", where=where, expected="physics", got=repr(data.get("kind")))
         body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
@@ -191,6 +205,9 @@ class IdentifiedModel:
                 process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
                 sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
                 weak=np.asarray(data["weak"], dtype=float),
+                horizon_noise=None
+                if data.get("horizon_noise") is None
+                else np.array([float(data["horizon_noise"][n]) for n in dynamics.noises.names]),
                 reference_state=np.asarray(data["reference"]["state"], dtype=float),
                 reference_inputs=np.asarray(data["reference"]["inputs"], dtype=float),
                 sample_time=float(data["sample_time"]),

@@ -1,0 +1,106 @@
+"""What the physics misses, sample by sample: smoothed disturbance force and torque with the features they may depend on.
+
+The model's filter carries the discrepancy as disturbance states; the smoothed states given the whole flight are the
+targets of a residual Gaussian process, never differentiated signals (Kristensen, Madsen and Jorgensen 2004). Smoothed
+values of neighbouring samples are almost copies of each other, so targets and features are averaged over blocks of about
+the correlation time of the disturbance; what is faster than that the disturbance states do not resolve anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.errors import ModelError
+from greybox.estimation.filtering import Filter
+from greybox.estimation.fit import fit, noise_of
+from greybox.estimation.smoothing import smooth
+from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
+from greybox.model.identified import IdentifiedModel
+from greybox.residual.features import feature_layout, features
+from greybox.symbolic import FloatArray, Layout, evaluate
+
+GROUPS = ("force", "torque")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Discrepancy:
+    """Features z (N, n_in) and targets y (N, n_out) [N, N m], block means in time order, with the flight of every row."""
+
+    inputs: Layout
+    outputs: Layout
+    z: FloatArray
+    y: FloatArray
+    flights: tuple[str, ...]
+
+
+def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:
+    """CasADi function (x, command window) -> features, for many samples."""
+    past, future = dynamics.window
+    x = ca.SX.sym("x", len(dynamics.states))
+    window = ca.SX.sym("U", len(dynamics.inputs), past + 1 + future)
+    return ca.Function("z", [x, window], [ca.densify(features(dynamics, names, x, window))])
+
+
+def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
+    """`model` with disturbance states for force and torque whose levels and time constants are fitted to `data`.
+
+    A model that has disturbance states already is returned as it is. Shared physical parameters keep their estimates and
+    covariance; per-flight ones are fitted along. Raises `ModelError` for a model whose noises are neither.
+    """
+    if isinstance(model.dynamics, Disturbed):
+        return model
+    groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in model.dynamics.noises.names))
+    if not groups:
+        raise ModelError(
+            "the model has no force or torque noise that a disturbance could enter by",
+            got=", ".join(model.dynamics.noises.names),
+        )
+    own = tuple(n for n in model.flight_spread)
+    result = fit(
+        model.dynamics, data, disturbance=groups, free=(*own, *(f"disturbance.{g}.T" for g in groups)), per_flight=own,
+        values=dict(model.values), noise=noise_of(model), estimate_noise="process", initialisation="nominal",
+    ).model  # fmt: skip
+    return replace(
+        result, covariance_names=model.covariance_names, covariance=model.covariance, source=model.source,
+        trained_on=model.trained_on, data_hash=model.data_hash,
+    )  # fmt: skip
+
+
+def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> Discrepancy:
+    """Smoothed disturbances of all flights with the features `names`. `model` has disturbance states (`disturbed_model`)."""
+    dynamics = model.dynamics
+    rows = [i for i, n in enumerate(dynamics.states.names) if n.startswith("disturbance.")]
+    if not rows:
+        raise ModelError("the model has no disturbance states", fix="use disturbed_model first")
+    channels = [dynamics.states.names[i].removeprefix("disturbance.") for i in rows]
+    runner = Filter(model)
+    look = feature_function(dynamics, names)
+    width = sum(dynamics.window) + 1
+    times = [model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")]
+    block = max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
+    z, y, flights = [], [], []
+    for flight in data:
+        for segment in flight.segments:
+            n = segment.n // block * block
+            if not n:
+                continue
+            found = smooth(runner, runner.run(segment))
+            window = found.filtered.record.inputs[np.arange(n)[:, None] + np.arange(width)].reshape(n, -1)
+            seen = evaluate(look, found.states[:n], window)
+            z.append(seen.reshape(-1, block, seen.shape[1]).mean(axis=1))
+            y.append(found.states[:n, rows].reshape(-1, block, len(rows)).mean(axis=1))
+            flights += [flight.name] * (n // block)
+    if not z:
+        raise ModelError("no flight is long enough to see its disturbances", expected=f"more than {block} samples")
+    outputs = Layout([dynamics.noises.signals[dynamics.noises[c]] for c in channels])
+    return Discrepancy(
+        inputs=feature_layout(dynamics, names), outputs=outputs, z=np.concatenate(z), y=np.concatenate(y),
+        flights=tuple(flights),
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""Model files of every kind: `load_model` reads what `greybox fit` and `greybox learn` wrote, `save_model` writes it.
+
+A hybrid is one JSON file (schema "greybox.model/1", kind "hybrid"): the physics model's own file inside, the Gaussian
+process with all its arrays, and a checksum. One file, so that a write is all or nothing. Numbers only: nothing is executed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from greybox.errors import FileFormatError
+from greybox.files import checksum, read_json, write_json
+from greybox.model.effect import Effect
+from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
+from greybox.residual.hybrid import HybridModel
+from greybox.residual.posterior import GPPosterior
+
+
+def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
+    """Write a model file atomically. Returns the path. Raises `ModelError` for a model not made of catalogue parts."""
+    dynamics = model.dynamics
+    if not isinstance(dynamics, HybridModel):
+        return model.save(path)
+    body: dict[str, Any] = {
+        "schema": SCHEMA, "kind": "hybrid", "name": model.name,
+        "base": replace(model, dynamics=dynamics.inner).to_dict(), "gp": dynamics.posterior.to_dict(),
+        "versions": library_versions(),
+    }  # fmt: skip
+    return write_json(path, {**body, "checksum": _checksum(body)})
+
+
+def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
+    """Read a model file, physics or hybrid; `effects` are those that are not in the catalogue (`load_effects`).
+
+    Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`, `ModelError`.
+    """
+    where = str(path)
+    data: Mapping[str, Any] = read_json(path, schema=SCHEMA)
+    if data.get("kind") != "hybrid":
+        return IdentifiedModel.from_dict(data, where=where, effects=effects)
+    if _checksum(data) != data.get("checksum"):
+        raise FileFormatError(
+            "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
+        )
+    try:
+        base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects)
+        posterior = GPPosterior.from_dict(data["gp"])
+    except (KeyError, TypeError) as error:
+        raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
+    return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
+
+
+def _checksum(body: Mapping[str, Any]) -> str:
+    return checksum({k: v for k, v in body.items() if k not in ("checksum", "versions")})

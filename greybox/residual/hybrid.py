@@ -1,0 +1,105 @@
+"""HybridModel: a Dynamics plus a learned push, x+ = f(x, u, w + g(z(x, u))), g the mean of a Gaussian process.
+
+The Gaussian process gives the discrepancy of the physics as force [N] and torque [N m] in body axes and enters where the
+process noise of the same name enters; it is evaluated at the sample and held over the step. Its variance does not move
+the mean; it is offered as `learned_variance` to everything that propagates uncertainty.
+
+(Ghoul, Bousserhane and Boufeldja 2026, IJCAS 24(8), phase 3, in the form that a controller can use:
+x+ = f(x, u) + B_d (g(z) + w); Hewing, Kabzan and Zeilinger 2020, IEEE TCST 28(6), eq. 4.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from greybox.errors import ModelError, UnknownNameError
+from greybox.model.dynamics import Dynamics
+from greybox.residual.features import features
+from greybox.residual.posterior import GPPosterior
+from greybox.symbolic import Expr
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HybridModel:
+    """`inner` with the mean of `posterior` added to the process-noise channels that its outputs are named after.
+
+    The posterior's inputs are features by name (`greybox.residual.features`). Everything else is `inner`'s: states,
+    parameters, noises, charts. Raises `UnknownNameError` for an output that is no noise channel of `inner`, and for a
+    feature that it does not offer; `ModelError` for a unit that differs.
+    """
+
+    inner: Dynamics
+    posterior: GPPosterior
+
+    def __post_init__(self) -> None:
+        for signal in self.posterior.outputs:
+            if signal.name not in self.inner.noises:
+                raise UnknownNameError("channel of a learned push", signal.name, self.inner.noises.names)
+            unit = self.inner.noises.signals[self.inner.noises[signal.name]].unit
+            if signal.unit != unit:
+                raise ModelError(f"learned {signal.name} in another unit", expected=unit, got=signal.unit)
+        past, future = self.inner.window
+        x = ca.SX.sym("x", len(self.inner.states))
+        features(self.inner, self.posterior.inputs.names, x, ca.SX.sym("u", len(self.inner.inputs), past + 1 + future))
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name in ("inner", "posterior"):
+            raise AttributeError(name)
+        return getattr(self.inner, name)
+
+    @property
+    def name(self) -> str:
+        """Name of the inner model and what was learned."""
+        return f"{self.inner.name} + GP({', '.join(self.posterior.outputs.names)})"
+
+    @cached_property
+    def learned_rows(self) -> tuple[int, ...]:
+        """Place of every learned output in the process noise w."""
+        return tuple(self.inner.noises[n] for n in self.posterior.outputs.names)
+
+    def learned_inputs(self, x: Expr, window: Expr) -> Expr:
+        """z(x, u), the features that the Gaussian process looks at."""
+        return features(self.inner, self.posterior.inputs.names, x, window)
+
+    def learned_mean(self, x: Expr, window: Expr) -> Expr:
+        """Learned push (n_out), in the units of its noise channels."""
+        return self.posterior.mean(self.learned_inputs(x, window))
+
+    def learned_variance(self, x: Expr, window: Expr) -> Expr:
+        """Variance of the learned push (n_out) without the noise of its training data."""
+        return self.posterior.variance(self.learned_inputs(x, window))
+
+    @cached_property
+    def _spread(self) -> Expr:
+        spread = ca.DM(len(self.inner.noises), len(self.learned_rows))
+        for j, i in enumerate(self.learned_rows):
+            spread[i, j] = 1.0
+        return spread
+
+    def _push(self, x: Expr, window: Expr, w: Expr = None) -> Expr:
+        push = self._spread @ self.learned_mean(x, window)
+        return push if w is None else w + push
+
+    def _held(self, u: Expr) -> Expr:
+        past, future = self.inner.window
+        return ca.repmat(u, 1, past + 1 + future)
+
+    def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """dx/dt under the learned push."""
+        return self.inner.f(t, x, u, p, self._push(x, self._held(u), w))
+
+    def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
+        """Noise-free outputs; the learned force reaches the accelerometer."""
+        return self.inner.h(t, x, u, p, self._push(x, self._held(u), w))
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """One sample with the learned push held over it."""
+        return self.inner.step(t, x, window, p, self._push(x, window, w), dt)
+
+    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Outputs see the learned push as they see the process noise of its channel."""
+        return self.inner.output(t, x, window, p, self._push(x, window, w), dt)

@@ -1,0 +1,401 @@
+"""Weights of a learned push from multi-step prediction errors: the Gaussian process as a member of the PEM.
+
+In weight space a sparse GP is linear, g_j(z) = s_j psi_j(z)'theta_j with psi_j = L_j^-1 k_j(support, z), K = L L' and
+theta_j ~ N(0, I) (Quinonero-Candela and Rasmussen 2005, JMLR 6; whitened as in Hensman, Fusi and Lawrence 2013). The
+weights are estimated like physical parameters: by the errors of the open-loop model at several horizons, with their
+sensitivities carried along the path,
+
+    S+ = A S + G s psi(z),    de/dtheta = -(C S + D s psi(z)),    V = sum w e^2 + sum_j lambda_j |theta_j|^2
+
+Smoothed disturbances say what pushed the vehicle; in closed loop they are correlated with states and commands through
+time delays and feedback, and a regression on them learns that correlation too. What lowers the errors of a model that runs
+on alone does not have this bias (omitted lags and clock errors do not average into it). The strengths lambda_j of the prior
+are chosen by leaving flights out, from the same normal equations: an output that does not lower the errors of flights it
+has not seen is switched off. Gauss-Newton with step control; the inverse Hessian is the posterior covariance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from greybox.data import Dataset
+from greybox.errors import DataError, FitError
+from greybox.estimation.engine import Engine, GainTable, engine_for
+from greybox.estimation.filtering import Filter
+from greybox.estimation.gain import Linearisation
+from greybox.estimation.record import Record, make_record
+from greybox.estimation.smoothing import transitions
+from greybox.model.identified import IdentifiedModel
+from greybox.model.parameter import Parameter
+from greybox.residual.discrepancy import feature_function
+from greybox.residual.features import features
+from greybox.residual.hybrid import HybridModel
+from greybox.residual.posterior import GPPosterior
+from greybox.residual.sparse import safe_cholesky, variational
+from greybox.symbolic import Expr, FloatArray, evaluate
+
+HORIZONS = (2, 5, 10, 20, 35, 50)
+STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
+"""Prior strengths to choose from; infinite switches the outputs of a group off."""
+FEW, BLOCKS = 4, 4
+"""With fewer flights than this, stretches of a flight (this many) are left out instead of flights."""
+Progress = Callable[[str, float], None]
+IntArray = npt.NDArray[np.int_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WeightedHybrid(HybridModel):
+    """A hybrid whose GP weights are parameters, `gp.<output>.<i>` after those of `inner`: compiled once, fitted often."""
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Inner parameters, then the weights output by output."""
+        own = [
+            Parameter(name=f"gp.{n}.{i}", unit="-", nominal=0.0, scale=1.0)
+            for n in self.posterior.outputs.names
+            for i in range(self.posterior.points)
+        ]
+        return (*self.inner.parameters, *own)
+
+    def _weighted(self, x: Expr, window: Expr, p: Expr) -> Expr:
+        post = self.posterior
+        z = (features(self.inner, post.inputs.names, x, window) - post.input_mean) / post.input_scale
+        n, m = len(self.inner.parameters), post.points
+        known: dict[int, Expr] = {}
+        out = []
+        for j, kernel in enumerate(post.kernels):
+            if id(kernel) not in known:
+                known[id(kernel)] = kernel.covariance(post.support.T, z, ca)
+            out.append(post.output_scale[j] * ca.dot(p[n + j * m : n + (j + 1) * m], known[id(kernel)]))
+        return ca.vertcat(*out)
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """One sample under the weighted push."""
+        push = self._spread @ self._weighted(x, window, p)
+        return self.inner.step(t, x, window, p[: len(self.inner.parameters)], w + push, dt)
+
+    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """Outputs under the weighted push."""
+        push = self._spread @ self._weighted(x, window, p)
+        return self.inner.output(t, x, window, p[: len(self.inner.parameters)], w + push, dt)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Normal:
+    """Normal equations of a stretch of flight: gradient g (P,) and Gauss-Newton Hessian h (P, P) of its cost in theta."""
+
+    cost: float
+    gradient: FloatArray
+    hessian: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenLoopFit:
+    """The fitted posterior and how it came about: prior strength per output, cost before and after, share of held-out
+    cost that it saves, `status` ("converged", "iteration limit" or "null": nothing was worth learning)."""
+
+    posterior: GPPosterior
+    strengths: Mapping[str, float]
+    cost_before: float
+    cost_after: float
+    held_out_gain: float
+    iterations: int
+    status: str
+
+
+class Basis:
+    """s_j psi_j(z) of a posterior's kernels and support points, along the paths of a model."""
+
+    def __init__(self, model: IdentifiedModel, posterior: GPPosterior) -> None:
+        self.posterior = posterior
+        self.m, self.outputs = posterior.points, len(posterior.outputs)
+        self.size = self.m * self.outputs
+        self.rows = [model.dynamics.noises[n] for n in posterior.outputs.names]
+        self.look = feature_function(model.dynamics, posterior.inputs.names)
+        support = posterior.support.T
+        self.factors = [safe_cholesky(k.covariance(support, support))[0] for k in posterior.kernels]
+
+    def weights(self, theta: FloatArray) -> FloatArray:
+        """Weights of the kernel values, (P,), of whitened theta (P,)."""
+        parts = theta.reshape(self.outputs, self.m)
+        return np.concatenate([np.linalg.solve(f.T, v) for f, v in zip(self.factors, parts, strict=True)])
+
+    def spread(self, states: FloatArray, windows: FloatArray) -> FloatArray:
+        """d push/d theta, (m, n_out, P)."""
+        post = self.posterior
+        x = ((evaluate(self.look, states, windows) - post.input_mean) / post.input_scale).T
+        known: dict[int, FloatArray] = {}
+        out = np.zeros((x.shape[1], self.outputs, self.size))
+        for j, kernel in enumerate(post.kernels):
+            if id(kernel) not in known:
+                known[id(kernel)] = np.linalg.solve(self.factors[j], kernel.covariance(post.support.T, x)).T
+            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * known[id(kernel)]
+        return out
+
+
+class Paths:
+    """Open-loop predictions of a model along all flights: errors, and their normal equations for any number of bases.
+
+    `engine` runs the model itself, or a `WeightedHybrid` of it; `extra` are the parameters after the model's own.
+    """
+
+    def __init__(self, model: IdentifiedModel, data: Dataset, *, horizons: Sequence[int], stride: int) -> None:
+        self.model, self.stride = model, stride
+        self.runner = Filter(model)
+        self.engine: Engine = self.runner.engine
+        self.extra = np.zeros(0)
+        self.chosen = np.array(sorted(set(horizons))) - 1
+        records = [make_record(self.engine, s) for f in data for s in f.segments]
+        self.records = [r for r in records if r.n > max(horizons) + stride]
+        if not self.records:
+            raise DataError("no flight is long enough for multi-step errors", expected=f"over {max(horizons)} samples")
+        past, future = model.dynamics.window
+        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
+        _, self.push, _, self.through = Linearisation(model.dynamics, ()).values(
+            model.reference_state, window, model.parameter_vector(), model.sample_time
+        )
+        total: FloatArray = np.zeros((self.chosen.size, self.engine.ne))
+        count = np.zeros_like(total)
+        for record in self.records:
+            _, _, _, e, mask = self.errors(record)
+            total, count = total + (e * e * mask).sum(axis=0), count + mask.sum(axis=0)
+        # Every horizon and channel weighs alike; errors of overlapping windows share what caused them.
+        share = stride / (self.chosen.size * (int(self.chosen[-1]) + 1))
+        self.scales = np.where(total > 0, share * np.maximum(count, 1) / np.where(total > 0, total, 1.0), 0.0)
+
+    def errors(self, record: Record) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+        """(p, rows (m,), states there (m, n_x), errors (m, H, n_e), mask alike) of one record."""
+        p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
+        parts = [self.runner.riccati.gain(v) for v in record.patterns]
+        gains = GainTable(
+            gain=np.array([v[0] for v in parts]),
+            zero=np.array([not v.any() for v in record.patterns], dtype=np.int32),
+        )
+        run = self.engine.run(
+            x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+            gains=gains, p=p, dt=record.dt, want=frozenset({"states"}),
+        )  # fmt: skip
+        if run.failed_at is not None or run.states is None:
+            raise FitError(f"the prediction of flight {record.flight} is not finite")
+        length = int(self.chosen[-1]) + 1
+        rows = np.arange(min(self.stride, record.n - length), record.n - length + 1, self.stride)
+        whole = np.full(rows.size, length)
+        ahead = self.engine.windows(
+            starts=run.states[rows], rows=rows, lengths=whole, tails=whole, inputs=record.inputs,
+            outputs=record.outputs, mask=record.mask, p=p, dt=record.dt,
+        )  # fmt: skip
+        if ahead.failed_in is not None:
+            raise FitError(f"the prediction of flight {record.flight} is not finite")
+        e = ahead.innovations.reshape(rows.size, length, self.engine.ne)[:, self.chosen]
+        return p, rows, run.states[rows], e, record.mask[rows[:, None] + self.chosen]
+
+    def cost(self) -> float:
+        """Weighted square errors; infinite where a prediction is not finite."""
+        try:
+            return float(sum((e * e * k * self.scales).sum() for _, _, _, e, k in map(self.errors, self.records)))
+        except FitError:
+            return np.inf
+
+    def normal(self, record: Record, bases: Sequence[Basis], blocks: int = 1) -> list[list[Normal]]:
+        """Per basis the cost and normal equations of one record, in `blocks` parts along its time."""
+        p, rows, x, e, mask = self.errors(record)
+        width = self.engine.past + 1 + self.engine.future
+        carried = [np.zeros((rows.size, self.engine.nd, b.size)) for b in bases]
+        gradient = [np.zeros((blocks, b.size)) for b in bases]
+        hessian = [np.zeros((blocks, b.size, b.size)) for b in bases]
+        part = np.arange(rows.size) * blocks // rows.size
+        for h in range(int(self.chosen[-1]) + 1):
+            at = rows + h
+            step = transitions(self.engine, x, at, record.inputs, p, record.dt)
+            assert step.end_sensitivity is not None
+            assert step.sensitivity is not None
+            windows = record.inputs[at[:, None] + np.arange(width)].reshape(rows.size, -1)
+            place = np.flatnonzero(self.chosen == h)
+            for k, basis in enumerate(bases):
+                spread = basis.spread(x, windows)
+                if place.size:
+                    i = int(place[0])
+                    slope = step.sensitivity @ carried[k] - self.through[:, basis.rows] @ spread
+                    weight = self.scales[i] * mask[:, i]
+                    for b in range(blocks):
+                        flat = slope[part == b].reshape(-1, basis.size)
+                        own = weight[part == b]
+                        gradient[k][b] += flat.T @ (own * e[part == b, i]).ravel()
+                        hessian[k][b] += flat.T @ (flat * own.reshape(-1, 1))
+                carried[k] = step.end_sensitivity @ carried[k] + self.push[:, basis.rows] @ spread
+            x = step.ends
+        cost = (e * e * mask * self.scales).sum(axis=(1, 2))
+        return [
+            [
+                Normal(cost=float(cost[part == b].sum()), gradient=gradient[k][b], hessian=_symmetric(hessian[k][b]))
+                for b in range(blocks)
+            ]
+            for k in range(len(bases))
+        ]
+
+
+def fit_open_loop(
+    model: IdentifiedModel,
+    candidates: Mapping[str, GPPosterior],
+    data: Dataset,
+    *,
+    horizons: Sequence[int] = HORIZONS,
+    stride: int = 10,
+    strengths: Sequence[float] = STRENGTHS,
+    iterations: int = 4,
+    progress: Progress | None = None,
+) -> tuple[OpenLoopFit, str, dict[str, float]]:
+    """(fit, name of the candidate chosen, name -> share of held-out cost that each candidate saves).
+
+    Of every candidate the kernels and support points stay and the weights are refitted by multi-step errors on the
+    flights of `data`. `model` is the identified model without the learned part; `horizons` are samples, `stride` the
+    samples between the starts of two predictions. Raises `DataError` for flights that are too short, `FitError` where the
+    model itself does not stay finite.
+    """
+    say = progress or (lambda _text, _share: None)
+    with threadpool_limits(limits=1):
+        paths = Paths(model, data, horizons=horizons, stride=stride)
+        bases = {label: Basis(model, posterior) for label, posterior in candidates.items()}
+        blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
+        parts: dict[str, list[Normal]] = {label: [] for label in bases}
+        owners: list[str] = []
+        for i, record in enumerate(paths.records):
+            say(f"sensitivities of {record.flight}", 0.6 * i / len(paths.records))
+            for label, normals in zip(bases, paths.normal(record, list(bases.values()), blocks), strict=True):
+                parts[label] += normals
+            owners += [record.flight if blocks == 1 else f"{record.flight} {i} {b}" for b in range(blocks)]
+        found = {label: _choose(parts[label], _folds(owners), basis, strengths) for label, basis in bases.items()}
+        gains = {label: gain for label, (_, gain) in found.items()}
+        best = max(gains, key=lambda label: gains[label])
+        chosen, gain = found[best]
+        fitted = _iterate(
+            paths, bases[best], parts[best], chosen, gain, iterations, lambda text, s: say(text, 0.6 + 0.4 * s)
+        )
+    return fitted, best, gains
+
+
+def _iterate(
+    paths: Paths, basis: Basis, parts: list[Normal], chosen: FloatArray, gain: float, iterations: int, say: Progress
+) -> OpenLoopFit:
+    """Gauss-Newton with step control from zero weights."""
+    before = value = sum(n.cost for n in parts)
+    strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
+    on = np.isfinite(np.repeat(chosen, basis.m))
+    prior = np.repeat(chosen, basis.m)[on]
+    if not on.any():
+        return OpenLoopFit(
+            posterior=_silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
+            held_out_gain=0.0, iterations=0, status="null",
+        )  # fmt: skip
+    say("compiling the weighted model", 0.0)
+    paths.engine = engine_for(WeightedHybrid(inner=paths.model.dynamics, posterior=basis.posterior), ())
+    theta = np.zeros(basis.size)
+    status, done = "iteration limit", 0
+    for done in range(1, iterations + 1):
+        g = _total(parts, "gradient")[on] + prior * theta[on]
+        step = np.zeros(basis.size)
+        step[on] = -np.linalg.solve(_total(parts, "hessian")[np.ix_(on, on)] + np.diag(prior), g)
+        moved, new = theta, np.inf
+        for share in (1.0, 0.5, 0.25, 0.125):
+            moved = theta + share * step
+            paths.extra = basis.weights(moved)
+            new = paths.cost() + float(prior @ moved[on] ** 2)
+            if new < value:
+                break
+        if not new < value:
+            status = "converged"
+            break
+        small = value - new < 5e-3 * (before - new)
+        theta, value = moved, new
+        say(f"step {done}: cost {value:.6g}", done / iterations)
+        if small or float(-step[on] @ g) < 1e-5 * before:
+            status = "converged"
+            break
+        if done < iterations:
+            parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
+    paths.extra = basis.weights(theta)
+    hessian = _total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
+    return OpenLoopFit(
+        posterior=_posterior(basis, theta, hessian, chosen), strengths=strengths, cost_before=before,
+        cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
+    )  # fmt: skip
+
+
+def _total(parts: Sequence[Normal], what: str) -> FloatArray:
+    return np.asarray(np.sum([getattr(n, what) for n in parts], axis=0))
+
+
+def _folds(owners: Sequence[str]) -> list[list[int]]:
+    """Which parts are left out together: those of one owner (a flight; a stretch of it, where there are few flights)."""
+    return [[i for i, o in enumerate(owners) if o == n] for n in dict.fromkeys(owners)]
+
+
+def _choose(
+    parts: Sequence[Normal], folds: Sequence[Sequence[int]], basis: Basis, strengths: Sequence[float]
+) -> tuple[FloatArray, float]:
+    """Prior strength per output by leaving flights out, in the quadratic model of the cost; share of the cost saved.
+
+    Outputs of a group (force, torque) share one. Among choices within one standard error of the best the strongest
+    prior wins.
+    """
+    groups, m = [n.split(".")[0] for n in basis.posterior.outputs.names], basis.m
+    kinds = list(dict.fromkeys(groups))
+    whole_h, whole_g = _total(parts, "hessian"), _total(parts, "gradient")
+    sums = [(_total([parts[i] for i in f], "hessian"), _total([parts[i] for i in f], "gradient")) for f in folds]
+    results: dict[tuple[float, ...], FloatArray] = {}
+    for choice in itertools.product(strengths, repeat=len(kinds)):
+        prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
+        on = np.isfinite(prior)
+        saved = np.zeros(len(folds))
+        if on.any():
+            at = np.ix_(on, on)
+            for i, (h, g) in enumerate(sums):
+                theta = -np.linalg.solve(whole_h[at] - h[at] + np.diag(prior[on]), whole_g[on] - g[on])
+                saved[i] = -(2 * g[on] @ theta + theta @ h[at] @ theta)
+        results[choice] = saved
+    best = max(results, key=lambda c: float(results[c].sum()))
+    margin = results[best]
+    keep = [
+        c
+        for c, saved in results.items()
+        if (margin - saved).sum() <= np.sqrt(len(folds)) * (margin - saved).std(ddof=1) + 1e-12
+    ]
+    strongest = max(keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum())))
+    cost = sum(p.cost for p in parts)
+    return np.array([strongest[kinds.index(g)] for g in groups]), float(results[strongest].sum() / cost)
+
+
+def _posterior(work: Basis, theta: FloatArray, hessian: FloatArray, prior: FloatArray) -> GPPosterior:
+    """Plain numbers of the fitted process; an output that is off keeps nothing."""
+    post, m = work.posterior, work.m
+    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    weights, explained, uncertain = (np.zeros_like(a) for a in (post.weights, post.explained, post.uncertain))
+    kernels = list(post.kernels)
+    for j in range(work.outputs):
+        if not np.isfinite(prior[j]):
+            continue
+        rows = slice(j * m, (j + 1) * m)
+        root = np.asarray(np.linalg.cholesky(_symmetric(covariance[rows, rows])), dtype=np.float64)
+        numbers = variational(post.kernels[j], post.support.T, theta[rows], root)
+        weights[:, j], explained[j], uncertain[j] = numbers.weights, numbers.explained, numbers.uncertain
+    return replace(
+        post, method="svgp", kernels=tuple(kernels), weights=weights, explained=explained, uncertain=uncertain,
+        output_mean=np.zeros(work.outputs),
+    )  # fmt: skip
+
+
+def _symmetric(a: FloatArray) -> FloatArray:
+    return 0.5 * (a + a.T)
+
+
+def _silent(posterior: GPPosterior) -> GPPosterior:
+    zero = {k: np.zeros_like(getattr(posterior, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
+    return replace(posterior, **zero)
