@@ -11,6 +11,7 @@ analytically: from dk_i/dx = 2 g_i (x - b_i)/lengthscale^2 both are matrix-vecto
 In MX the vectors stay vectors, which is the fast form inside optimisers; SX gives scalars, and numbers give numbers.
 
 On disk: `<name>.json` (schema "greybox.gp/1", all but the large arrays, with a checksum) and `<name>.npz` beside it.
+The file is long because the class is one thing: the same numbers predict, and are written and read.
 """
 
 from __future__ import annotations

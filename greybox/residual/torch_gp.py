@@ -1,7 +1,8 @@
 """The part of training that runs in GPyTorch: marginal likelihoods, polish of support points, SVGP with mini-batches.
 
 The only file of the GP that imports PyTorch and GPyTorch (the extra `gp`). Arrays in and out are NumPy, samples are rows,
-inputs and outputs standardised, prior mean zero. Everything is float64 with exact Cholesky settings.
+inputs and outputs standardised, prior mean zero. Everything is float64 with exact Cholesky settings. All of it is one file,
+though long, because PyTorch shall have one door.
 """
 
 from __future__ import annotations

@@ -20,21 +20,12 @@ from threadpoolctl import threadpool_limits
 from greybox.errors import GreyboxError, ModelError, UnknownNameError
 from greybox.residual import sparse
 from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
+from greybox.residual.judgement import judge, points_curve
 from greybox.residual.kernels import Kernel, split_name
 from greybox.residual.posterior import METHODS, Domain, GPPosterior
-from greybox.residual.selection import (
-    SIZES,
-    Curve,
-    IntArray,
-    blocks_of,
-    choose,
-    held_out,
-    mean_and_error,
-    place_points,
-    stratified,
-    timed,
-)
+from greybox.residual.selection import SIZES, Curve, held_out, place_points, stratified
 from greybox.residual.training_report import OutputReport, TrainedGP, TrainingReport
+from greybox.residual.training_rows import Rows, complete_rows
 from greybox.symbolic import BoolArray, FloatArray, Layout
 
 if TYPE_CHECKING:
@@ -46,12 +37,6 @@ NOISE = ("white", "per-group", "auto")
 REACH = 1.5
 """The linear part is faded out from this multiple of the largest training input on."""
 POLISH_SAMPLES = 2000
-JUDGED = 10_000
-"""Held-out samples that judge at most."""
-EVIDENCE = 2.0
-"""Standard errors by which the GP must beat the constant (about 4 % by chance with ten blocks)."""
-LEAST = 20
-"""Complete rows without which nothing is trained."""
 
 
 class MissingExtraError(GreyboxError, ImportError):
@@ -82,19 +67,6 @@ class _Settings:
     polish: bool
     guard: bool
     epochs: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Rows:
-    """Complete rows: z (N, n_in), y (N, n_out), place in the given arrays (N,), number of the group (N,)."""
-
-    z: FloatArray
-    y: FloatArray
-    place: IntArray
-    group: IntArray
-
-    def take(self, which: Any) -> _Rows:
-        return _Rows(z=self.z[which], y=self.y[which], place=self.place[which], group=self.group[which])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +128,7 @@ def train_gp(
     `MissingExtraError` without the extra `gp`.
     """
     _check_names(kernel, method, points, noise, noise_inflation, prior_mean)
-    rows, names, dropped = _rows(Z, Y, groups, inputs, outputs)
+    rows, names, dropped = complete_rows(Z, Y, groups, inputs, outputs)
     settings = _Settings(
         kernel=kernel, method=method, seed=seed, restarts=restarts, noise=noise, noise_inflation=noise_inflation,
         share_kernel=share_kernel, prior_mean=prior_mean, subset=subset, polish=polish, guard=guard, epochs=epochs,
@@ -195,10 +167,11 @@ def train_gp(
             )
             seconds["on the training part"] = time.perf_counter() - tick
             start = [o.hyper for o in first.outputs]
-            judged, null = _judge(first.posterior, rows.take(~mask), rows.take(mask), settings)
+            judged, null = judge(first.posterior, rows.take(~mask), rows.take(mask))
             if points == "auto":
                 tick = time.perf_counter()
-                curve = _curve(first, rows.take(~mask), rows.take(mask), null)
+                levels = [o.noise * o.tau for o in first.outputs]
+                curve = points_curve(first.posterior, levels, rows.take(~mask), rows.take(mask), null)
                 seconds["curve"] = time.perf_counter() - tick
                 points = curve.chosen if curve.trials else SIZES[0]
         tick = time.perf_counter()
@@ -239,37 +212,8 @@ def _check_names(
         raise ModelError("noise_inflation", expected='"auto" or a factor of at least 1', got=repr(noise_inflation))
 
 
-def _rows(
-    z: npt.ArrayLike, y: npt.ArrayLike, groups: Any, inputs: Layout, outputs: Layout
-) -> tuple[_Rows, list[str], int]:
-    """(complete rows, names of the groups, number of dropped rows)."""
-    z, y = np.asarray(z, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    if z.ndim != 2 or z.shape[1] != len(inputs) or y.shape != (len(z), len(outputs)):
-        raise ModelError(
-            "the training arrays do not fit the layouts",
-            expected=f"(N, {len(inputs)}) and (N, {len(outputs)})",
-            got=f"{z.shape} and {y.shape}",
-        )
-    labels = np.zeros(len(z), dtype=int) if groups is None else np.asarray(groups)
-    if labels.shape != (len(z),):
-        raise ModelError("groups", expected=f"({len(z)},), one per row", got=str(labels.shape))
-    # In order of appearance, so that results do not depend on how flights are called.
-    unique, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    number = np.argsort(order)[inverse]
-    if np.isinf(z).any() or np.isinf(y).any():
-        raise ModelError("the training arrays hold infinite values")
-    keep = np.isfinite(z).all(1) & np.isfinite(y).all(1)
-    if keep.sum() < LEAST:
-        raise ModelError("too few complete rows to train a GP", expected=f"at least {LEAST}", got=str(int(keep.sum())))
-    at = np.flatnonzero(keep)
-    there = np.unique(number[at])
-    rows = _Rows(z=z[at], y=y[at], place=at, group=np.searchsorted(there, number[at]))
-    return rows, [str(unique[order[g]]) for g in there], int(len(z) - at.size)
-
-
 def _train(
-    rows: _Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: _Settings,
+    rows: Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: _Settings,
     start: Sequence[Hyper] | None, null: BoolArray, progress: Progress, share: tuple[float, float],
 ) -> _Trained:  # fmt: skip
     """Hyper-parameters on a subset, then the posterior from all of `rows`; statistics from these rows alone."""
@@ -357,7 +301,7 @@ def _null_output(hyper: Hyper, mean_square: float, points: int) -> _Output:
 
 
 def _output(
-    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: _Rows, s: _Settings
+    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: Rows, s: _Settings
 ) -> _Output:
     """The posterior of one output from all rows, with its noise inflated for correlation in time."""
     kernel = hyper.kernel
@@ -413,82 +357,6 @@ def _mean_at(kernel: Kernel, support: FloatArray, x: FloatArray, weights: FloatA
         weights @ kernel.covariance(support.T, x[at : at + sparse.CHUNK].T) for at in range(0, len(x), sparse.CHUNK)
     ]
     return np.concatenate(parts)
-
-
-# ------------------------------------------------------------------------------------------------------- judgement
-
-
-def _nlpd(y: FloatArray, mean: FloatArray, variance: FloatArray) -> FloatArray:
-    return 0.5 * (np.log(2.0 * np.pi * variance) + (y - mean) ** 2 / variance)
-
-
-def _thin(rows: _Rows) -> _Rows:
-    return rows.take(slice(None, None, -(-len(rows.z) // JUDGED)))
-
-
-def _judge(
-    posterior: GPPosterior, train: _Rows, test: _Rows, s: _Settings
-) -> tuple[dict[int, dict[str, float]], BoolArray]:
-    """Held-out scores of each output against the constant of the training part, and which outputs lose.
-
-    An output keeps its GP only if it is better by more than `EVIDENCE` standard errors of the block means.
-    """
-    test = _thin(test)
-    mean, variance = posterior.evaluate(test.z, noise=True)
-    block = blocks_of(test.group)
-    scores, null = {}, np.zeros(test.y.shape[1], dtype=bool)
-    for j in range(test.y.shape[1]):
-        centre = float(posterior.output_mean[j])
-        level = float(np.mean((train.y[:, j] - centre) ** 2))
-        if level == 0:
-            null[j] = True
-            continue
-        gp, flat = (
-            _nlpd(test.y[:, j], mean[:, j], variance[:, j]),
-            _nlpd(test.y[:, j], np.array(centre), np.array(level)),
-        )
-        gain, error = mean_and_error(flat - gp, block)
-        null[j] = gain <= EVIDENCE * error
-        scores[j] = {
-            "nlpd": float(gp.mean()), "nlpd_constant": float(flat.mean()), "gain": gain, "gain_error": error,
-            "rmse": float(np.sqrt(np.mean((test.y[:, j] - mean[:, j]) ** 2))),
-            "rmse_constant": float(np.sqrt(np.mean((test.y[:, j] - centre) ** 2))),
-        }  # fmt: skip
-    return scores, null
-
-
-def _curve(first: _Trained, train: _Rows, test: _Rows, null: BoolArray) -> Curve:
-    """Held-out quality for the beginnings of the list of support points, hyper-parameters and inflation held."""
-    test = _thin(test)
-    full = first.posterior
-    live = np.flatnonzero(~null)
-    if live.size == 0:
-        return Curve()
-    x = (train.z - full.input_mean) / full.input_scale
-    y = (train.y - full.output_mean) / full.output_scale
-    sizes = sorted({m for m in SIZES if m < full.points} | {full.points})
-    nlpd, rmse, seconds = [], [], []
-    for m in sizes:
-        support = full.support[:m]
-        numbers = [
-            sparse.collapsed(o.hyper.kernel, support.T, x.T, y[:, j], o.noise * o.tau)
-            for j, o in enumerate(first.outputs)
-        ]
-        posterior = replace(
-            full,
-            support=support,
-            weights=np.stack([n.weights for n in numbers], axis=1),
-            explained=np.stack([n.explained for n in numbers]),
-            uncertain=np.stack([n.uncertain for n in numbers]),
-            jitter=tuple(n.jitter for n in numbers),
-        )
-        posterior.evaluate(test.z[:2])
-        (mean, variance), taken = timed(posterior.evaluate, test.z)
-        variance = variance + posterior.noise
-        nlpd.append(_nlpd(test.y, mean, variance)[:, live].mean(1))
-        rmse.append(float(np.sqrt(np.mean(((test.y - mean) / full.output_scale)[:, live] ** 2))))
-        seconds.append(taken / len(test.z))
-    return choose(sizes, nlpd, rmse, blocks_of(test.group), inputs=x.shape[1], outputs=live.size, seconds=seconds)
 
 
 def _report_output(
