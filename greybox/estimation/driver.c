@@ -120,14 +120,17 @@ static void correction(const REAL *K, const REAL *dE, const REAL *e, const REAL 
   }
 }
 
-/* out (rows x n), first columns += M (compressed columns, one lane of it) scattered */
-static void scatter(const INT *sp, const REAL *m, REAL *out, int n) {
+/* out (rows x n) += M (compressed columns, one lane of it) scattered: column c of M goes to column place[c] of out, a column
+   with a negative place nowhere; place NULL: to the first columns in order */
+static void scatter(const INT *sp, const int *place, const REAL *m, REAL *out, int n) {
   const INT nrow = sp[0], ncol = sp[1];
   const INT *colind = sp + 2, *row = sp + 3 + ncol;
   const int dense = is_dense(sp);
   for (INT c = 0; c < ncol; ++c) {
     const INT from = dense ? c * nrow : colind[c], to = dense ? from + nrow : colind[c + 1];
-    for (INT k = from; k < to; ++k) out[(dense ? k - from : row[k]) * n + c] += m[k * LANES];
+    const INT at = place ? place[c] : c;
+    if (at < 0) continue;
+    for (INT k = from; k < to; ++k) out[(dense ? k - from : row[k]) * n + at] += m[k * LANES];
   }
 }
 
@@ -155,11 +158,12 @@ void gb_sizes(INT *args, INT *ress, INT *iws, INT *ws) {
    at row `past`; Y (n x ny, missing = any number); M (n x ne, 1 = there, 0 = missing); pat (n) index of the gain;
    K (npat x nd x ne), zero_gain (npat): 1 = no correction; dK (npat x nd x ne x ns, NULL: gain is constant);
    Xout (n x nx), Eout (n x ne), Yout (n x ny), Jout (n x ne x ns): any may be NULL; Sout (n x nd x ns) likewise.
+   place: where the parameters of gb_slope stand among the columns of S (see scatter).
    Returns 0, or 1 + k when the numbers stop being finite at sample k. */
 int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL *S, const REAL *U, const REAL *Y,
            const REAL *M, const int *pat, const REAL *p, REAL dt, const REAL *K, const int *zero_gain, const REAL *dK,
-           REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const REAL **arg, REAL **res, INT *iw, REAL *w,
-           REAL *buf) {
+           REAL *Xout, REAL *Eout, REAL *Yout, REAL *Jout, REAL *Sout, const int *place, const REAL **arg, REAL **res,
+           INT *iw, REAL *w, REAL *buf) {
   const INT *spA = gb_slope_sparsity_out(0), *spB = gb_slope_sparsity_out(1), *spE = gb_slope_sparsity_out(2),
             *spH = gb_slope_sparsity_out(3), *sp1 = gb_turn_sparsity_out(0), *sp2 = gb_turn_sparsity_out(1);
   REAL *X = buf, *XF = X + LANES * nx, *Es = XF + LANES * nx, *Ks = Es + LANES * ne, *yh = Ks + LANES * nd,
@@ -238,12 +242,12 @@ int gb_run(int n, int nx, int nd, int ne, int ny, int nu, int ns, REAL *x, REAL 
       const REAL *m = M + (size_t)t * ne, *e = Es + l * ne;
       if (Sout) memcpy(Sout + (size_t)t * nd * ns, S, (size_t)nd * ns * sizeof(REAL));
       product(&rE, E + l, S, 0, 0, 0, dE, ns);
-      scatter(spH, H + l, dE, ns);
+      scatter(spH, place, H + l, dE, ns);
       for (int i = 0; i < ne; ++i)
         if (m[i] == 0) memset(dE + (size_t)i * ns, 0, ns * sizeof(REAL));
       if (Jout) memcpy(Jout + (size_t)t * ne * ns, dE, (size_t)ne * ns * sizeof(REAL));
       product(&rA, A + l, S, 0, 0, 0, T, ns);
-      scatter(spB, B + l, T, ns);
+      scatter(spB, place, B + l, T, ns);
       if (zero_gain[g]) {
         memcpy(S, T, (size_t)nd * ns * sizeof(REAL));
         continue;
@@ -294,13 +298,13 @@ int gb_rollout(int m, int horizon, int nx, int ny, int nu, const REAL *x0, const
    Etmp, Jtmp hold one window. Returns 0, or 1 + i where window i stops being finite. */
 int gb_windows(int m, const int *first, const int *length, const int *tail, int nx, int nd, int ne, int ny, int nu, int ns,
                REAL *X, REAL *S, const REAL *U, const REAL *Y, const REAL *M, const REAL *p, REAL dt, REAL *Eout,
-               REAL *Jout, REAL *Etmp, REAL *Jtmp, const int *nopat, const int *one, const REAL **arg, REAL **res, INT *iw,
-               REAL *w, REAL *buf) {
+               REAL *Jout, REAL *Etmp, REAL *Jtmp, const int *nopat, const int *one, const int *place, const REAL **arg,
+               REAL **res, INT *iw, REAL *w, REAL *buf) {
   size_t row = 0;
   for (int i = 0; i < m; ++i) {
     const size_t k = first[i], skip = length[i] - tail[i];
     if (gb_run(length[i], nx, nd, ne, ny, nu, ns, X + (size_t)i * nx, S ? S + (size_t)i * nd * ns : 0, U + k * nu,
-               Y + k * ny, M + k * ne, nopat, p, dt, 0, one, 0, 0, Etmp, 0, S ? Jtmp : 0, 0, arg, res, iw, w, buf))
+               Y + k * ny, M + k * ne, nopat, p, dt, 0, one, 0, 0, Etmp, 0, S ? Jtmp : 0, 0, place, arg, res, iw, w, buf))
       return 1 + i;
     memcpy(Eout + row * ne, Etmp + skip * ne, tail[i] * ne * sizeof(REAL));
     if (S) memcpy(Jout + row * ne * ns, Jtmp + skip * ne * ns, (size_t)tail[i] * ne * ns * sizeof(REAL));

@@ -7,6 +7,7 @@ run in CasADi's VM under the same recursion in NumPy: the same numbers, slower.
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import functools
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from greybox.errors import UnknownNameError
 from greybox.estimation import lanes
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build, compiler
 from greybox.model.dynamics import Dynamics
@@ -91,7 +93,8 @@ def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
 class Engine:
     """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
 
-    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`.
+    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`. `built` are the
+    parameters that sensitivities were built for, of which `active` are carried: the ones at `columns` (see `select`).
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> None:
@@ -102,10 +105,30 @@ class Engine:
         self.past, self.future = dynamics.window
         names = [p.name for p in dynamics.parameters]
         self.active_index = np.array([names.index(a) for a in active], dtype=int)
+        self._place: IntArray | None = None
+        self.built, self.columns = active, np.arange(len(active))
         self._functions()
         self._library: Any = None
         if use_compiler and compiler() is not None:
             self._compile()
+
+    def select(self, active: tuple[str, ...]) -> Engine:
+        """The same engine with the sensitivities of some of its parameters only: nothing is built again.
+
+        Raises `UnknownNameError` for a parameter that this engine has no sensitivity of.
+        """
+        if active == self.active:
+            return self
+        for a in active:
+            if a not in self.active:
+                raise UnknownNameError("active parameter", a, self.active)
+        some = copy.copy(self)
+        some.active = active
+        at = np.array([self.active.index(a) for a in active], dtype=int)
+        some.columns, some.active_index = self.columns[at], self.active_index[at]
+        some._place = np.full(len(self.built), -1, dtype=np.int32)
+        some._place[some.columns] = np.arange(len(active))
+        return some
 
     @property
     def compiled(self) -> bool:
@@ -230,7 +253,7 @@ class Engine:
                 n, self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x), _ptr(s), _ptr(u), _ptr(y), _ptr(mask),
                 _ptr(pattern), _ptr(p), ctypes.c_double(dt), _ptr(gain), _ptr(zero), _ptr(slope), _ptr(out["states"]),
                 _ptr(out["innovations"]), _ptr(out["outputs"]), _ptr(out["sensitivity"]),
-                _ptr(out["state_sensitivity"]), arg, res, iw, w, _ptr(buffer),
+                _ptr(out["state_sensitivity"]), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
             )
         )  # fmt: skip
 
@@ -252,12 +275,12 @@ class Engine:
                     out["state_sensitivity"][t] = s
                 a, b, ex, ep = self.slope(*at)
                 de = ex.full() @ s
-                de[:, :na] += ep.full()
+                de[:, :na] += ep.full()[:, self.columns]
                 de *= (mask[t] != 0)[:, None]
                 if out["sensitivity"] is not None:
                     out["sensitivity"][t] = de
                 moved = a.full() @ s
-                moved[:, :na] += b.full()
+                moved[:, :na] += b.full()[:, self.columns]
             g = int(pattern[t])
             if gains.zero[g]:
                 x[:] = np.asarray(xf.full()).ravel()
@@ -313,7 +336,7 @@ class Engine:
                 self._library.gb_windows(
                     m, _ptr(first), _ptr(length), _ptr(tail), self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x),
                     _ptr(s), _ptr(u), _ptr(y), _ptr(mask), _ptr(p), ctypes.c_double(dt), _ptr(e), _ptr(de), _ptr(e_one),
-                    _ptr(de_one), _ptr(pattern), _ptr(one), arg, res, iw, w, _ptr(buffer),
+                    _ptr(de_one), _ptr(pattern), _ptr(one), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
                 )
             )  # fmt: skip
         else:

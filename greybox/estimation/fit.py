@@ -193,6 +193,7 @@ def fit(
     seed: int = 0,
     starts: int = 8,
     progress: Progress | None = None,
+    build: Iterable[str] | None = None,
     use_compiler: bool = True,
 ) -> Fit:
     """Fit `model` to `data` by the prediction error method.
@@ -218,14 +219,14 @@ def fit(
         first = fit(
             model, data, criterion=criterion, solver=solver, disturbance=groups, free=free, fixed=fixed,
             per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
-            estimate_noise=estimate_noise, progress=progress, use_compiler=use_compiler,
+            estimate_noise=estimate_noise, progress=progress, build=build, use_compiler=use_compiler,
         )  # fmt: skip
         noise = noise_of(first.model)
     with threadpool_limits(limits=1):
         problem = make_problem(
             dynamics, data, predictor=chosen_predictor, criterion=chosen_criterion, free=free, fixed=fixed,
             per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
-            estimate_noise=estimate_noise, use_compiler=use_compiler,
+            estimate_noise=estimate_noise, build=build, use_compiler=use_compiler,
         )  # fmt: skip
         if first is not None:
             found = {(u.name, u.flight): t for u, t in zip(first.problem.unknowns, first.theta, strict=True)}

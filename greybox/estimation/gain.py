@@ -14,12 +14,14 @@ finite without touching the gain of what is seen.
 
 from __future__ import annotations
 
+import copy
 import functools
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
@@ -55,13 +57,23 @@ class Linearisation:
         slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
         self._function = ca.Function("linearisation", [x, u, p, dt], [stacked, slopes])
         self._value_only = ca.Function("linearisation_value", [x, u, p, dt], [stacked])
+        self._columns: npt.NDArray[np.int_] | None = None
+
+    def select(self, columns: npt.NDArray[np.int_]) -> Linearisation:
+        """The same linearisation with the derivatives in some of its active parameters only, at `columns` among them."""
+        if len(columns) == self._function.size2_out(1):
+            return self
+        some = copy.copy(self)
+        some._columns = columns
+        return some
 
     def __call__(
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
         value, slope = self._function(x, window, p, dt)
-        return self._unpack(value.full()[:, 0][:, None], False), self._unpack(slope.full(), True)
+        slopes = slope.full() if self._columns is None else slope.full()[:, self._columns]
+        return self._unpack(value.full()[:, 0][:, None], False), self._unpack(slopes, True)
 
     def values(self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""

@@ -270,6 +270,7 @@ def make_problem(
     noise: Mapping[str, float] | None = None,
     estimate_noise: bool | Literal["process"] = True,
     estimate_initial: bool = True,
+    build: Iterable[str] | None = None,
     use_compiler: bool = True,
 ) -> Problem:
     """Set up the unknowns of a fit.
@@ -279,7 +280,8 @@ def make_problem(
     `values` are start values (and the values of fixed parameters), `priors` name -> (mean, sigma) replace declared ones,
     `flight_priors` hold for every per-flight copy. `noise` gives levels by name, in SI units, for one component
     ("noise.sensor.p") or a whole group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
-    `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps allow).
+    `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps allow). `build` names
+    the parameters that sensitivities are built for, at least the free ones: fits of many subsets share one build.
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     declared = {d.name: d for d in dynamics.parameters}
@@ -302,7 +304,9 @@ def make_problem(
     own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(per_flight))
     own -= set(known(shared))
     dt = sample_time(dataset)
-    engine = engine_for(dynamics, tuple(chosen), use_compiler=use_compiler)
+    wanted = set(chosen if build is None else known(build))
+    built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
+    engine = engine_for(dynamics, built, use_compiler=use_compiler).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
     priors, flight_priors = dict(priors or {}), dict(flight_priors or {})

@@ -39,7 +39,7 @@ class Innovation:
         x = d.reference(problem.means)
         elsewhere = d.reference({k: v + 1.0 for k, v in problem.means.items()})
         return {
-            "linearisation": linearisation_at(d, problem.engine.active, x, elsewhere),
+            "linearisation": linearisation_at(d, problem.engine.built, x, elsewhere).select(problem.engine.columns),
             "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
             "weak": weak**2,
         }
