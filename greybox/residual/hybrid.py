@@ -70,8 +70,12 @@ class HybridModel:
         return self.posterior.mean(self.learned_inputs(x, window))
 
     def learned_variance(self, x: Expr, window: Expr) -> Expr:
-        """Variance of the learned push (n_out) without the noise of its training data."""
-        return self.posterior.variance(self.learned_inputs(x, window))
+        """Variance of the learned push (n_out) without the noise of its training data; 0 for outputs that are off.
+
+        What an output that was not learned leaves is in the disturbance states and the process noise.
+        """
+        on = ca.DM([float(v) for v in self.posterior.active])
+        return on * self.posterior.variance(self.learned_inputs(x, window))
 
     @cached_property
     def _spread(self) -> Expr:

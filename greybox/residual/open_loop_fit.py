@@ -373,22 +373,27 @@ def _choose(
     return np.array([strongest[kinds.index(g)] for g in groups]), float(results[strongest].sum() / cost)
 
 
-def _posterior(work: Basis, theta: FloatArray, hessian: FloatArray, prior: FloatArray) -> GPPosterior:
-    """Plain numbers of the fitted process; an output that is off keeps nothing."""
-    post, m = work.posterior, work.m
+def _posterior(basis: Basis, theta: FloatArray, hessian: FloatArray, prior: FloatArray) -> GPPosterior:
+    """Plain numbers of the fitted process; an output that is off keeps nothing.
+
+    A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the
+    data is that of the prior which the left-out flights chose.
+    """
+    post, m = basis.posterior, basis.m
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
     weights, explained, uncertain = (np.zeros_like(a) for a in (post.weights, post.explained, post.uncertain))
-    kernels = list(post.kernels)
-    for j in range(work.outputs):
+    scale = post.output_scale.copy()
+    for j in range(basis.outputs):
         if not np.isfinite(prior[j]):
             continue
-        rows = slice(j * m, (j + 1) * m)
+        rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j])
         root = np.asarray(np.linalg.cholesky(_symmetric(covariance[rows, rows])), dtype=np.float64)
-        numbers = variational(post.kernels[j], post.support.T, theta[rows], root)
+        numbers = variational(post.kernels[j], post.support.T, size * theta[rows], size * root)
         weights[:, j], explained[j], uncertain[j] = numbers.weights, numbers.explained, numbers.uncertain
+        scale[j] /= size
     return replace(
-        post, method="svgp", kernels=tuple(kernels), weights=weights, explained=explained, uncertain=uncertain,
-        output_mean=np.zeros(work.outputs),
+        post, method="svgp", weights=weights, explained=explained, uncertain=uncertain, output_scale=scale,
+        output_mean=np.zeros(basis.outputs), variance_factor=(),
     )  # fmt: skip
 
 
