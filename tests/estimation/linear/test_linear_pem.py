@@ -139,3 +139,41 @@ def test_input_delay_is_found_per_channel():
     fit = fit_linear([Record(u=shifted[:-5], y=record.y[:-5])], 3, delays="auto")
     assert fit.model.delays == (4, 1)
     np.testing.assert_allclose(fit.model.matrices.poles(), np.sort_complex(np.linalg.eigvals(truth.a)), atol=0.05)
+
+
+def test_rows_lost_in_every_record_and_at_the_edges_are_bridged():
+    rng = np.random.default_rng(12)
+    truth = random_system(rng, 2, 1, 1)
+    whole = [recorded(rng, truth, 400, name=f"r{i}") for i in range(2)]
+    spoiled = []
+    for r in whole:
+        y = r.y.copy()
+        y[:3] = y[-2:] = y[100:110] = np.nan
+        spoiled.append(Record(u=r.u, y=y, name=r.name))
+    full, holes = fit_linear(whole, 2), fit_linear(spoiled, 2)
+    assert any("30 samples with missing outputs" in w for w in holes.warnings)
+    assert all(np.isnan(e[100:110]).all() and np.isfinite(e[3:100]).all() for e in holes.innovations)
+    gain, cov = full.uncertainty.response(np.array([0.0, 0.1, 0.3]), 1.0)
+    other, _ = holes.uncertainty.response(np.array([0.0, 0.1, 0.3]), 1.0)
+    assert (np.abs(gain - other) < 2 * np.sqrt(np.trace(cov, axis1=3, axis2=4))).all()
+
+
+@pytest.mark.parametrize("radius", [1.02, 1.5, 30.0])
+def test_a_start_whose_model_explodes_is_polished_without_overflow(radius):
+    """A may be far outside the unit circle as long as the predictor is not; 1.5^2000 would overflow a simulation."""
+    rng = np.random.default_rng(13)
+    record = recorded(rng, random_system(rng, 2, 1, 1), 2000)
+    records, _ = prepare([record])
+    a, c = np.diag([radius, 0.5]), np.ones((1, 2))
+    k = np.array([[radius - 0.6], [0.0]])
+    start = Matrices(a, np.ones((2, 1)), c, np.zeros((1, 1)), k)
+    assert spectral_radius(start.predictor) < 1
+    solution = pem.minimise(Free(system=start, feedthrough=False), records)
+    assert np.isfinite(solution.evaluation.criterion)
+    assert spectral_radius(solution.system.predictor) < 1
+    assert (
+        solution.evaluation.criterion
+        <= pem.minimise(
+            Free(system=start, feedthrough=False), records, pem.Settings(max_iterations=0)
+        ).evaluation.criterion
+    )
