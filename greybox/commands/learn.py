@@ -1,0 +1,114 @@
+"""`greybox learn`: from a model file and its training flights to hybrid.json and report.html."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "learn",
+        help="learn what a fitted model misses as a Gaussian process",
+        description="Learn what a fitted model misses as a Gaussian process and calibrate its uncertainty. Writes "
+        "hybrid.json, learn.json and report.html. Exit code 0: done (also where nothing was worth learning: hybrid.json "
+        "is then the physics with calibrated uncertainty), 2: bad input.",
+    )
+    p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
+    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
+    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
+    p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
+    p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
+    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py", help="effects of your own in the model")
+    p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
+    p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, learn, validate before and after, report."""
+    from greybox.commands.validate import parse_horizons
+    from greybox.data import Dataset
+    from greybox.data.logs import read_logs
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
+    from greybox.report.learn_report import learn_report
+    from greybox.residual.files import load_model, save_model
+    from greybox.residual.learn import learn
+    from greybox.validation.validate import validate
+
+    quiet = arguments.json == "-"
+    horizons = parse_horizons(arguments.horizons)
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    points: int | str = arguments.points
+    if points != "auto":
+        try:
+            points = int(points)
+        except ValueError:
+            points = 0
+        if points < 1:
+            raise GreyboxError(
+                "--points takes a number above zero or auto", got=repr(arguments.points), fix="--points 50"
+            )
+    own = [e for path in arguments.effects_file for e in load_effects(path)]
+    model = load_model(arguments.model, effects=own)
+    rate = 1.0 / model.sample_time
+    train = read_logs(arguments.train, model.physics.vehicle, rate=rate)
+    test = read_logs(arguments.test, model.physics.vehicle, rate=rate) if arguments.test else Dataset(flights=())
+    both = sorted(set(train.names) & set(test.names))
+    if both:
+        raise GreyboxError(
+            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+        )
+
+    def progress(text: str, share: float) -> None:
+        if not quiet:
+            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
+
+    names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
+    learned = learn(
+        model, train, features=names, kernel=arguments.kernel, points=points, seed=arguments.seed, progress=progress
+    )
+    content = learned.to_dict()
+    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["learn"] else "greybox learn"
+    unseen = sorted(set(model.trained_on) - set(train.names))
+    if unseen:
+        content["warnings"].append(f"the model was also fitted to {', '.join(unseen)}, which were not given")
+    out = Path(arguments.out)
+    # What was learned is safe before anything else can go wrong.
+    save_model(learned.model, out / "hybrid.json")
+    write_json(out / "learn.json", content)
+    judged = test if test.flights else train
+    checked: dict[str, Any] = {}
+    for label, candidate in (("before", model), ("after", learned.model)):
+        progress(f"validate {label}", 1.0)
+        try:
+            checked[label] = validate(candidate, judged, horizons=horizons, adapt=arguments.adapt).to_dict()
+        except GreyboxError as error:
+            content["warnings"].append(f"no validation {label}: {error}")
+    if not test.flights:
+        content["warnings"].append("validated on the flights that were learned from: give --test flights")
+    content["validation"] = checked
+    write_json(out / "learn.json", content)
+    page = learn_report(content, title=f"What {model.name} misses")
+    report = write_atomic(out / "report.html", page)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        for warning in content["warnings"]:
+            print(f"warning: {warning}")
+        print(learned.summary())
+        print(f"wrote hybrid.json, learn.json and {report.name} in {out}")
+    return 0

@@ -1,0 +1,277 @@
+"""The report of `greybox learn`: from learn.json (greybox.learn/1) to one HTML page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from greybox.report import figures
+from greybox.report.html import Cell, Key, Report, Tag
+from greybox.report.svg import SERIES
+from greybox.report.words import number
+
+HONEST = (0.88, 0.99)
+"""Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within each of them."""
+LOUD = 0.5
+"""A calibration factor below this or above its inverse is worth a sentence."""
+
+
+def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
+    """The page of a learned model. `content` follows schemas/learn.json; `validation` may be missing, empty or partial.
+
+    Raises `KeyError` where a required field is missing.
+    """
+    report = Report(title or f"What {content['model']} misses", _subtitle(content))
+    validation = content.get("validation") or {}
+    texts = [*content.get("warnings", [])]
+    texts += [f"{label}: {w}" for label, v in validation.items() for w in v.get("warnings", [])]
+    texts += [f"{t['candidate']}: {w}" for t in content.get("training", []) for w in t.get("warnings", [])]
+    for text in dict.fromkeys(texts):
+        report.warning(text)
+    _learned(report, content)
+    _candidates(report, content)
+    _ahead(report, validation)
+    _uncertainty(report, content, validation)
+    _training(report, content)
+    _next(report, content, validation)
+    _reproduce(report, content)
+    return report.html()
+
+
+def _subtitle(content: Mapping[str, Any]) -> str:
+    count = len(content.get("trained_on", []))
+    return f"learned from {count} flight{'s' * (count != 1)}, {content['points']} support points"
+
+
+def _channels(content: Mapping[str, Any], learned: bool) -> list[str]:
+    return [o["name"] for o in content["outputs"] if o["learned"] is learned]
+
+
+def _learned(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("What was learned")
+    fit = content["fit"]
+    if content["null"]:
+        report.paragraph(
+            "Nothing was learned. No candidate lowers the multi-step errors of flights that it has not seen, so the model "
+            "stays the physics alone; only its uncertainty was calibrated."
+        )
+    else:
+        silent = _channels(content, False)
+        rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
+        report.verdict(
+            f"A Gaussian process of {', '.join(content['features'])} adds to {', '.join(_channels(content, True))}. It "
+            f"saves {number(100 * fit['held_out_gain'], 3)} % of the squared multi-step errors of flights that were left "
+            f"out of its fit.{rest}"
+        )
+        report.paragraph(
+            "The learned push acts like a force or torque in body axes on top of the physics and is held over each "
+            "sample. Far from the training flights it fades to nothing and the physics remains."
+        )
+    before, after = fit["cost_before"], fit["cost_after"]
+    saved = 1 - after / before if before else 0.0
+    end = f"{fit['status']}, {fit['iterations']} iteration{'s' * (fit['iterations'] != 1)}"
+    report.facts(
+        [
+            ("Model", content["model"]),
+            ("Inputs", ", ".join(content["features"])),
+            ("Learned", ", ".join(_channels(content, True)) or "none"),
+            ("Support points", str(content["points"])),
+            ("Solver's end", end),
+            ("Training error saved", f"{number(100 * saved, 3)} % of the weighted squared multi-step errors"),
+            ("Time", f"{number(content['seconds'], 3)} s"),
+        ]
+    )
+
+
+def _candidates(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("What competed")
+    body: list[list[Cell]] = []
+    for c in sorted(content["candidates"], key=lambda c: -c["held_out_gain"]):
+        chosen = c["name"] == content["chosen"] and not content["null"]
+        body.append([c["name"], f"{number(100 * c['held_out_gain'], 3)} %", "chosen" if chosen else None])
+    report.table(
+        ["candidate", "held-out gain", ""],
+        body,
+        numeric=(1,),
+        caption="Share of the squared errors, 2 to 50 samples ahead, that a candidate saves on flights left out of its fit "
+        "(one flight after the other; stretches of a flight where there are few). 0 %: no output was worth switching on.",
+    )
+
+
+def _cells(validation: Mapping[str, Any], label: str) -> dict[tuple[str, int], Mapping[str, Any]]:
+    """(group, horizon) -> errors of the model."""
+    rows = validation.get(label, {}).get("horizons", [])
+    return {(g, h["h"]): e for h in rows for g, e in h["groups"].items()}
+
+
+def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
+    report.section("How far ahead it predicts, before and after")
+    after, before = _cells(validation, "after"), _cells(validation, "before")
+    if not after:
+        report.paragraph("Not validated. Give flights that were not used here with --test.")
+        return
+    flights = [f["name"] for f in validation["after"].get("flights", [])]
+    adapted = validation["after"].get("adapted_on")
+    text = f"Open loop from every sample of {', '.join(flights)}. Before: the physics model as it was fitted."
+    if adapted:
+        text += f" Per-flight parameters were adapted on the first {number(adapted['seconds'])} s and frozen."
+    report.paragraph(text)
+    groups = list(dict.fromkeys(g for g, _ in after))
+    _curves(report, validation, groups)
+    seconds = {h["h"]: h["seconds"] for h in validation["after"]["horizons"]}
+    heads = ["seconds ahead", "RMSE before", "after", "change", "NLPD before", "after", "inside 50 %", "inside 95 %"]
+    for g in groups:
+        body: list[list[Cell]] = []
+        for h in (h for name, h in after if name == g):
+            new, old = after[g, h], before.get((g, h))
+            change = None if old is None or not old["rmse"] else 100 * (new["rmse"] / old["rmse"] - 1)
+            body.append(
+                [
+                    number(seconds[h]),
+                    number(old["rmse"]) if old else None,
+                    number(new["rmse"]),
+                    None if change is None else f"{'+' if change > 0 else ''}{number(change, 2)} %",
+                    number(old.get("nlpd"), 3) if old else None,
+                    number(new.get("nlpd"), 3),
+                    _share(new.get("coverage50"), (0.0, 1.0)),
+                    _share(new.get("coverage95"), HONEST),
+                ]
+            )
+        report.heading(f"{g.replace('_', ' ')} [{next(e['unit'] for (n, _), e in after.items() if n == g)}]")
+        report.table(heads, body, numeric=range(len(heads)))
+    report.paragraph(
+        "NLPD is the mean negative log density of the error vectors [nat], lower is better. Inside 50 % and 95 %: share of "
+        f"the error vectors within the region that the learned model states; marked outside {100 * HONEST[0]:g} to "
+        f"{100 * HONEST[1]:g} %."
+    )
+
+
+def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]) -> None:
+    looks = (("before", "physics", SERIES[3], "--"), ("after", "learned", SERIES[0], "-"))
+    panels: list[tuple[Figure, str]] = []
+    dt = validation["after"].get("sample_time")
+    for g in groups:
+        curves = {}
+        for label, name, colour, style in looks:
+            own = validation.get(label, {}).get("curves", {}).get("model", {}).get(g)
+            if own:
+                curves[name] = (own, colour, style)
+        if not curves or not dt:
+            continue
+        steps = max(len(v) for v, *_ in curves.values())
+        unit = next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g)
+        figure = figures.error_growth(
+            [dt * (i + 1) for i in range(steps)], curves, unit=unit, title=g.replace("_", " ")
+        )
+        panels.append((figure, f"Mean {g} error against the horizon, logarithmic axes, for {' and '.join(curves)}"))
+    if panels:
+        key = [Key(text="with the learned part", colour="c1"), Key(text="physics alone", colour="c4", stroke="dash")]
+        report.figures(panels, caption="Mean of the error's vector norm (rotation: geodesic angle).", key=key)
+
+
+def _share(value: float | None, honest: tuple[float, float]) -> Cell:
+    if value is None or not math.isfinite(value):
+        return None
+    text = f"{100 * value:.1f} %"
+    return text if honest[0] <= value <= honest[1] else Tag(text=text)
+
+
+def _uncertainty(report: Report, content: Mapping[str, Any], validation: Mapping[str, Any]) -> None:
+    report.section("How sure it says it is")
+    factors = content["calibration"]["factors"]
+    report.paragraph(
+        "Every prediction carries a covariance: of the filter's state, of the physical parameters, of the learned push "
+        "(the same error over a whole prediction), of disturbances that are correlated in time and of white noise. The "
+        "process noise that a prediction collects over a horizon was scaled by one factor per group, so that the errors of "
+        "the training flights up to half a second ahead are as likely as they can be."
+    )
+    body: list[list[Cell]] = [[name, number(value, 3)] for name, value in factors.items()]
+    report.table(
+        ["process noise", "factor"], body, numeric=(1,), caption="1: one-step noise explains the long horizons."
+    )
+    large = [n for n, v in factors.items() if v > 1 / LOUD]
+    small = [n for n, v in factors.items() if v < LOUD]
+    texts = [
+        f"Log density gained by the calibration: {number(content['calibration']['gain'], 3)} nat per error vector."
+    ]
+    if large:
+        texts.append(
+            f"Errors of {', '.join(large)} grow faster than one-step errors say: something slow is still missing."
+        )
+    if small:
+        texts.append(
+            f"Errors of {', '.join(small)} grow more slowly than one-step errors say: much of that noise averages out."
+        )
+    cells = _cells(validation, "after")
+    stated = {k: e["coverage95"] for k, e in cells.items() if e.get("coverage95") is not None}
+    outside = [
+        f"{g} at {h} samples ({100 * v:.0f} %)" for (g, h), v in stated.items() if not HONEST[0] <= v <= HONEST[1]
+    ]
+    report.bullets(texts)
+    if outside:
+        report.paragraph(f"The 95 % regions cover too little or too much for {', '.join(outside)}.")
+    elif stated:
+        low, high = min(stated.values()), max(stated.values())
+        report.verdict(
+            f"On the validated flights the stated 95 % regions hold {100 * low:.0f} to {100 * high:.0f} % of the errors."
+        )
+
+
+def _training(report: Report, content: Mapping[str, Any]) -> None:
+    body: list[list[Cell]] = []
+    for t in content.get("training", []):
+        for o in t["outputs"]:
+            gain = None if o.get("gain") is None else number(o["gain"], 3)
+            cells: list[Cell] = [o["status"], number(o["signal_std"], 3), number(o["noise_std"], 3), gain]
+            body.append([f"{t['candidate']}: {o['name']}", *cells])
+    if not body:
+        return
+    report.section("Marginal likelihood on the smoothed disturbances")
+    report.paragraph(
+        "These processes give the starting kernels; their weights were then fitted again by multi-step errors. A gain above "
+        "zero means that the smoothed disturbances of held-out flights are predicted better than by a constant."
+    )
+    with report.details(f"All outputs of all candidates ({len(body)})"):
+        heads = ["candidate and output", "status", "signal std", "noise std", "held-out gain [nat]"]
+        report.table(heads, body, numeric=(2, 3, 4))
+
+
+def _next(report: Report, content: Mapping[str, Any], validation: Mapping[str, Any]) -> None:
+    report.section("What to do next")
+    texts = []
+    after, before = _cells(validation, "after"), _cells(validation, "before")
+    worse = [
+        f"{g} at {h} samples"
+        for (g, h), e in after.items()
+        if (g, h) in before and e["rmse"] > 1.01 * before[g, h]["rmse"]
+    ]
+    if not after:
+        texts.append("Validate on flights that nobody fitted: greybox validate hybrid.json --log NEW.csv")
+    elif worse:
+        texts.append(f"Errors grew for {', '.join(worse)}: keep the physics model, or learn from more varied flights.")
+    if content["null"]:
+        texts.append(
+            "Where you expected something to learn: fly faster or more varied, give --inputs that the missing effect "
+            "depends on, or look for an effect by name with greybox effects."
+        )
+    else:
+        texts.append(
+            "What depends smoothly on few inputs may have a name: an effect of the catalogue extrapolates, a learned push "
+            "does not. Compare with greybox effects."
+        )
+        if not worse and after:
+            texts.append("Use hybrid.json wherever a model file is taken.")
+    report.bullets(texts)
+
+
+def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("How to reproduce this")
+    if content.get("command"):
+        report.code(str(content["command"]))
+    rows = [("Data", str(content["data_hash"]))] if content.get("data_hash") else []
+    rows += [("Flights", ", ".join(content.get("trained_on", [])))]
+    rows += [(str(k), str(v)) for k, v in (content.get("versions") or {}).items()]
+    report.facts(rows)
