@@ -7,6 +7,9 @@ sensitivities carried along the path,
 
     S+ = A S + G s psi(z),    de/dtheta = -(C S + D s psi(z)),    V = sum w e^2 + sum_j lambda_j |theta_j|^2
 
+from the filter's state, which depends on the weights too: S+ = (A - K C) S + (G - K D) s psi(z) up to the origin (what the
+push explains the disturbance states no longer do).
+
 Smoothed disturbances say what pushed the vehicle; in closed loop they are correlated with states and commands through
 time delays and feedback, and a regression on them learns that correlation too. What lowers the errors of a model that runs
 on alone does not have this bias (omitted lags and clock errors do not average into it). The strengths lambda_j of the prior
@@ -47,6 +50,8 @@ STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
 """Prior strengths to choose from; infinite switches the outputs of a group off."""
 FEW, BLOCKS = 4, 4
 """With fewer flights than this, stretches of a flight (this many) are left out instead of flights."""
+CHUNK = 1000
+"""Samples whose sensitivities are held in memory at once."""
 Progress = Callable[[str, float], None]
 IntArray = npt.NDArray[np.int_]
 
@@ -172,16 +177,11 @@ class Paths:
         self.scales = np.where(total > 0, share * np.maximum(count, 1) / np.where(total > 0, total, 1.0), 0.0)
 
     def errors(self, record: Record) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
-        """(p, rows (m,), states there (m, n_x), errors (m, H, n_e), mask alike) of one record."""
+        """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one record."""
         p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
-        parts = [self.runner.riccati.gain(v) for v in record.patterns]
-        gains = GainTable(
-            gain=np.array([v[0] for v in parts]),
-            zero=np.array([not v.any() for v in record.patterns], dtype=np.int32),
-        )
         run = self.engine.run(
             x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
-            gains=gains, p=p, dt=record.dt, want=frozenset({"states"}),
+            gains=self.gains(record), p=p, dt=record.dt, want=frozenset({"states"}),
         )  # fmt: skip
         if run.failed_at is not None or run.states is None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
@@ -195,7 +195,42 @@ class Paths:
         if ahead.failed_in is not None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
         e = ahead.innovations.reshape(rows.size, length, self.engine.ne)[:, self.chosen]
-        return p, rows, run.states[rows], e, record.mask[rows[:, None] + self.chosen]
+        return p, rows, run.states, e, record.mask[rows[:, None] + self.chosen]
+
+    def gains(self, record: Record) -> GainTable:
+        """The stationary gain for every pattern of measured channels."""
+        return GainTable(
+            gain=np.array([self.runner.riccati.gain(v)[0] for v in record.patterns]),
+            zero=np.array([not v.any() for v in record.patterns], dtype=np.int32),
+        )
+
+    def filtered(
+        self, record: Record, p: FloatArray, states: FloatArray, rows: IntArray, bases: Sequence[Basis]
+    ) -> list[FloatArray]:
+        """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the whitened weights."""
+        table = self.gains(record).gain
+        width = self.engine.past + 1 + self.engine.future
+        now = [np.zeros((self.engine.nd, b.size)) for b in bases]
+        out = [np.zeros((rows.size, self.engine.nd, b.size)) for b in bases]
+        place = {int(k): i for i, k in enumerate(rows)}
+        last = int(rows[-1])
+        for begin in range(0, last + 1, CHUNK):
+            at = np.arange(begin, min(begin + CHUNK, last + 1))
+            step = transitions(self.engine, states[at], at, record.inputs, p, record.dt)
+            assert step.end_sensitivity is not None
+            assert step.sensitivity is not None
+            gain = table[record.pattern[at]]
+            # `sensitivity` is -C; gains have zero columns for what is not measured.
+            closed = step.end_sensitivity + gain @ step.sensitivity
+            windows = record.inputs[at[:, None] + np.arange(width)].reshape(at.size, -1)
+            for j, basis in enumerate(bases):
+                into = self.push[:, basis.rows] - gain @ self.through[:, basis.rows]
+                spread = basis.spread(states[at], windows)
+                for i, k in enumerate(at.tolist()):
+                    if k in place:
+                        out[j][place[k]] = now[j]
+                    now[j] = closed[i] @ now[j] + into[i] @ spread[i]
+        return out
 
     def cost(self) -> float:
         """Weighted square errors; infinite where a prediction is not finite."""
@@ -206,9 +241,10 @@ class Paths:
 
     def normal(self, record: Record, bases: Sequence[Basis], blocks: int = 1) -> list[list[Normal]]:
         """Per basis the cost and normal equations of one record, in `blocks` parts along its time."""
-        p, rows, x, e, mask = self.errors(record)
+        p, rows, states, e, mask = self.errors(record)
         width = self.engine.past + 1 + self.engine.future
-        carried = [np.zeros((rows.size, self.engine.nd, b.size)) for b in bases]
+        carried = self.filtered(record, p, states, rows, bases)
+        x = states[rows]
         gradient = [np.zeros((blocks, b.size)) for b in bases]
         hessian = [np.zeros((blocks, b.size, b.size)) for b in bases]
         part = np.arange(rows.size) * blocks // rows.size
