@@ -182,8 +182,8 @@ def start_sensitivities(system: Matrices, modes: Modes, count: int) -> tuple[Flo
         if np.iscomplexobj(power):
             rows.append(power.imag)
             sums.append(total.imag)
-    jx = np.einsum("rk,oar->koa", np.array(rows), mix)
-    response = np.einsum("rk,oar->koa", np.array(sums), mix)
+    jx = np.tensordot(np.array(rows), mix, axes=(0, 2))
+    response = np.tensordot(np.array(sums), mix, axes=(0, 2))
     return jx, np.eye(p)[None] - response @ system.k
 
 

@@ -156,7 +156,7 @@ def split_at_missing(u: FloatArray, y: FloatArray, *, name: str = "record", long
 
 def _check_rank(u: FloatArray, names: Sequence[str]) -> None:
     """Raise where some inputs are a linear combination of others over all records."""
-    _, values, right = np.linalg.svd(u, full_matrices=False)
+    _, values, right = np.linalg.svd(np.linalg.qr(u, mode="r"))
     if values[-1] < 1e-9 * values[0]:
         weights = right[-1]
         involved = [n for n, w in zip(names, weights) if abs(w) > 1e-3 * np.abs(weights).max()]

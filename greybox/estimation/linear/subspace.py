@@ -221,21 +221,31 @@ def _realise(s: Subspace, order: int, stable: bool) -> Matrices:
     x, x1 = x / scale, x1 / scale
     n, m, p = order, u.shape[1], y.shape[1]
     left = np.hstack([x, u]) if s.feedthrough else x
-    cd = sla.lstsq(left, y, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0].T
+    cd = _regressed(left, y)
     c, d = cd[:, :n], cd[:, n:] if s.feedthrough else np.zeros((p, m))
     e = y - left @ cd.T
     if not s.noise_model:
-        ab = sla.lstsq(np.hstack([x, u]), x1, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0].T
+        ab = _regressed(np.hstack([x, u]), x1)
         a = _pulled_in(ab[:, :n], 0.998)
         return Matrices(a, ab[:, n:], c, d, np.zeros((n, p)))
     regressor = np.hstack([x, u, e])
-    abk = sla.lstsq(regressor, x1, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0].T
+    abk = _regressed(regressor, x1)
     a, b, k = abk[:, :n], abk[:, n : n + m], abk[:, n + m :]
     if stable and spectral_radius(a) >= 1.0:
         a = _pulled_in(a, 0.998)
     if spectral_radius(a - k @ c) >= 0.9999:
         k = _stabilising_gain(a, b, c, k, np.hstack([x, u]), x1, e)
     return Matrices(a, b, c, d, k)
+
+
+def _regressed(regressor: FloatArray, target: FloatArray) -> FloatArray:
+    """Least squares coefficients (targets, regressors)."""
+    width = regressor.shape[1]
+    tri = triangle(np.hstack([regressor, target]))
+    diagonal = np.abs(np.diag(tri)[:width])
+    if len(tri) > width and diagonal.min() > 1e-5 * diagonal.max():
+        return np.asarray(sla.solve_triangular(tri[:width, :width], tri[:width, width:], check_finite=False)).T
+    return np.asarray(sla.lstsq(regressor, target, cond=1e-12, lapack_driver="gelsy", check_finite=False)[0]).T
 
 
 def _stabilising_gain(
