@@ -40,6 +40,10 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
     """
     where = str(path)
     data: Mapping[str, Any] = read_json(path, schema=SCHEMA)
+    if data.get("kind") == "output-hybrid":
+        raise FileFormatError(
+            "a predictor of outputs, not a model of motion", where=where, fix="read it with OutputHybrid.load"
+        )
     if data.get("kind") != "hybrid":
         return IdentifiedModel.from_dict(data, where=where, effects=effects)
     if _checksum(data) != data.get("checksum"):

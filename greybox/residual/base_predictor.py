@@ -1,0 +1,459 @@
+"""BasePredictor: an identified model, linear or physical, as a predictor of measured channels in innovation form.
+
+    x(t+1|t) = f(x(t|t-1), u) (+) K e(t),    y(t) = h(x(t|t-1), u) + e(t),    cov(e) = S
+
+x(t|t-1) is known without any measurement of time t. A linear model brings K and S, a physical one those of its stationary
+filter (Ljung 1999, System Identification, sec. 4.3). With a Gaussian process g(z) for the mean of e(t) the same recursion
+runs the output residual of `greybox.residual.output_residual`: what g foretells moves the state as a measured e would.
+
+Ahead of an origin the covariance of the state is that of the innovations still to come, and the GP's own error, which is
+the same function all along, is carried as a consider state (Schmidt 1966), both linearised along the predicted path.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg as sla
+
+from greybox.data import Flight, Segment
+from greybox.data.channel import channel, is_canonical
+from greybox.errors import DataError, ModelError, UnknownNameError
+from greybox.estimation.filtering import Filter
+from greybox.estimation.linear.prediction import adapt
+from greybox.estimation.linear.predictor import predict
+from greybox.estimation.linear.records import Record, delayed
+from greybox.estimation.record import hold_missing
+from greybox.frames import numeric
+from greybox.model.identified import IdentifiedModel
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import Matrices
+from greybox.residual import features as model_features
+from greybox.residual.posterior import GPPosterior
+from greybox.symbolic import FloatArray, Layout, Signal, evaluate
+from greybox.validation.adapt import adapt_to_flight
+
+Terms = tuple[tuple[float, str], ...]
+Base = LinearModel | IdentifiedModel
+IMU = ("p", "q", "r", "ax", "ay", "az")
+START = 0.1
+"""First seconds of a segment that start a filter (as `make_record` takes them): nothing is predicted there."""
+RUN_IN = 2.0
+"""Seconds after which a linear model that starts from zero is taken to have forgotten that."""
+ANGLES = ("phi", "theta", "psi")
+QUATERNION = ("qw", "qx", "qy", "qz")
+CHUNK = 2000
+"""Origins that are rolled out at once (bounds the memory)."""
+_LATE = re.compile(r"(?P<name>.+)\[t(?P<lag>-1)?\]")
+
+
+def combined(models: Sequence[LinearModel], channels: Mapping[str, Terms]) -> tuple[LinearModel, dict[str, Terms]]:
+    """Decoupled linear models as one, block by block, and the log columns of its inputs.
+
+    An input that several models share appears once per model, as "roll.ay" for the model of output ay, because delay and
+    operating point belong to the model. Raises `ModelError` for models that predict the same output or differ in `dt`.
+    """
+    if len(models) == 1:
+        return models[0], dict(channels)
+    names = [n for m in models for n in m.outputs.names]
+    if len(set(names)) != len(names) or len({m.dt for m in models}) > 1:
+        raise ModelError("linear models that do not fit together", expected="different outputs, one sample time")
+    often = [n for m in models for n in m.inputs.names]
+    inputs, terms = [], dict(channels)
+    for m in models:
+        for s in m.inputs:
+            name = f"{s.name}.{'.'.join(m.outputs.names)}" if often.count(s.name) > 1 else s.name
+            terms[name] = channels.get(s.name, ((1.0, s.name),))
+            inputs.append(replace(s, name=name))
+    blocks = [sla.block_diag(*(m.matrices[i] for m in models)) for i in range(5)]
+    whole = LinearModel(
+        name=", ".join(m.name for m in models), matrices=Matrices(*blocks),
+        noise=sla.block_diag(*(m.noise for m in models)), dt=models[0].dt, inputs=Layout(inputs),
+        outputs=Layout([s for m in models for s in m.outputs]), delays=tuple(d for m in models for d in m.delays),
+        input_offset=np.concatenate([m.input_offset for m in models]),
+        output_offset=np.concatenate([m.output_offset for m in models]),
+    )  # fmt: skip
+    return whole, {n: terms[n] for n in whole.inputs.names}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One segment under the predictor: `states` (n, n_x) x(t|t-1), `mean` (n, n_o) y(t|t-1), `known` (n,) where both are
+    predictions, `inputs` (n + past + future, n_u), parameters p, and the shift (n_o,) of the outputs."""
+
+    states: FloatArray
+    mean: FloatArray
+    known: npt.NDArray[np.bool_]
+    inputs: FloatArray
+    p: FloatArray
+    shift: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BasePredictor:
+    """Predicts `outputs` of `model` (default: the IMU channels among its outputs, else all that are plain numbers).
+
+    `channels`: input of a linear model -> (weight, log column) of the sum that it is; by its own name where absent.
+    `adapt` [s]: start, and output offset (linear) or per-flight parameters (physical, except of training flights), are
+    fitted on the first seconds of every segment, where nothing is then predicted. Raises `UnknownNameError`.
+    """
+
+    model: Base
+    outputs: tuple[str, ...] = ()
+    channels: Mapping[str, Terms] = field(default_factory=dict)
+    adapt: float | None = None
+    train_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        plain = [c[0] for c in self.dynamics.innovation_columns if len(c) == 1]
+        chosen = self.outputs or tuple(n for n in plain if n in IMU) or tuple(plain)
+        for n in chosen:
+            if n not in plain:
+                raise UnknownNameError("output", n, plain, where=self.dynamics.name)
+        object.__setattr__(self, "outputs", tuple(chosen))
+
+    # ------------------------------------------------------------------------------------------------ the model
+
+    @property
+    def dynamics(self) -> Any:
+        """The model's equations."""
+        return self.model if isinstance(self.model, LinearModel) else self.model.dynamics
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.model.dt if isinstance(self.model, LinearModel) else self.model.sample_time
+
+    @cached_property
+    def filter(self) -> Filter:
+        """The stationary filter of a physical model."""
+        assert isinstance(self.model, IdentifiedModel)
+        return Filter(self.model)
+
+    @cached_property
+    def gain(self) -> tuple[FloatArray, FloatArray]:
+        """(K (n_d, n_e), S (n_e, n_e)) with all channels measured."""
+        if isinstance(self.model, LinearModel):
+            return self.model.matrices[4], self.model.noise
+        k, s, _, _ = self.filter.riccati.gain(np.ones(len(self.dynamics.innovations)))
+        return k, s
+
+    @property
+    def rows(self) -> list[int]:
+        """Places of the outputs among the innovations."""
+        columns = list(self.dynamics.innovation_columns)
+        return [columns.index((n,)) for n in self.outputs]
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted: entries of a minimal form, or shared parameters and their values per flight."""
+        if isinstance(self.model, LinearModel):
+            a, b, c, d, _ = self.model.matrices
+            # Free entries of A, B, C, K up to a change of state coordinates: n (m + 2 p) per decoupled part.
+            parts = _blocks(a, b, c)
+            return sum(len(i) * (len(j) + 2 * len(o)) for i, j, o in parts) + int(np.count_nonzero(d))
+        return len(self.model.covariance_names) + sum(len(v) for v in self.model.per_flight.values())
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Log columns that drive the model."""
+        if isinstance(self.model, IdentifiedModel):
+            return tuple(self.dynamics.inputs.names)
+        return tuple(dict.fromkeys(c for n in self.dynamics.inputs.names for _, c in self._terms(n)))
+
+    def _terms(self, name: str) -> Terms:
+        return self.channels.get(name, ((1.0, name),))
+
+    # ------------------------------------------------------------------------------------------- one step ahead
+
+    def run(self, segment: Segment) -> Run:
+        """Predictions of a whole segment. Raises `DataError` (a column is absent, too short), `FitError`."""
+        if abs(segment.dt - self.dt) > 1e-6 * self.dt:
+            raise DataError(
+                f"sampled every {segment.dt:g} s, the model every {self.dt:g} s", where=f"flight {segment.flight}",
+                fix=f"read the log with --rate {1 / self.dt:g}",
+            )  # fmt: skip
+        return self._run_linear(segment) if isinstance(self.model, LinearModel) else self._run_filter(segment)
+
+    def _run_linear(self, segment: Segment) -> Run:
+        model = self.model
+        assert isinstance(model, LinearModel)
+        parts = [[w * segment.column(c) for w, c in self._terms(n)] for n in model.inputs.names]
+        u = np.column_stack([np.sum(p, axis=0) for p in parts]) if parts else np.zeros((segment.n, 0))
+        u, _ = hold_missing(u)
+        if not np.isfinite(u).all():
+            raise DataError("an input column has no values", where=f"flight {segment.flight}")
+        record = Record(u=u, y=segment.matrix(model.outputs.names), name=segment.flight)
+        x0, offset, blind = np.zeros(model.order), model.output_offset, 0
+        if self.adapt is not None:
+            found = adapt(model, record, self.adapt)
+            x0, offset, blind = found.x0, found.offset, found.samples
+        cut = max(model.delays, default=0)
+        moved = delayed(record, model.delays)
+        moved = Record(u=moved.u - model.input_offset, y=moved.y - offset, name=record.name)
+        x = predict(model.matrices, moved, x0, np.zeros(len(offset)), model.noise).x
+        _, _, c, d, _ = model.matrices
+        states, mean = np.full((segment.n, model.order), np.nan), np.full((segment.n, len(offset)), np.nan)
+        states[cut:], mean[cut:] = x, x @ c.T + moved.u @ d.T + offset
+        known = np.arange(segment.n) >= max(cut + 1, blind + cut)
+        at = [model.outputs[n] for n in self.outputs]
+        return Run(
+            states=states, mean=mean[:, at], known=known, inputs=np.vstack([np.repeat(u[:1], cut, axis=0), u]),
+            p=np.array([q.nominal for q in model.parameters]), shift=(offset - model.output_offset)[at],
+        )  # fmt: skip
+
+    def _run_filter(self, segment: Segment) -> Run:
+        model = self.model
+        assert isinstance(model, IdentifiedModel)
+        p, x0, blind = None, None, max(3, round(START / segment.dt))
+        if self.adapt is not None and segment.flight not in model.trained_on:
+            flight = Flight(name=segment.flight, segments=(segment,))
+            found = adapt_to_flight(model, flight, self.adapt, riccati=self.filter.riccati)
+            p, x0 = model.parameter_vector(found.values), found.x0
+            blind = round(self.adapt / segment.dt)
+        filtered = self.filter.run(segment, p=p, x0=x0)
+        at = [self.dynamics.outputs[n] for n in self.outputs]
+        return Run(
+            states=filtered.states[: segment.n], mean=filtered.outputs[:, at],
+            known=np.arange(segment.n) >= blind, inputs=filtered.record.inputs, p=filtered.p,
+            shift=np.zeros(len(at)),
+        )  # fmt: skip
+
+    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (n, n_o) of every sample from what is known before it; NaN where too little is."""
+        run = self.run(segment)
+        mean = np.where(run.known[:, None], run.mean, np.nan)
+        variance = np.broadcast_to(np.diag(self.gain[1])[self.rows], mean.shape)
+        return mean, np.where(np.isfinite(mean), variance, np.nan)
+
+    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k."""
+        return self.rolled(segment, origins, horizon, None)
+
+    # ------------------------------------------------------------------------------------------------- features
+
+    def feature_layout(self, names: Sequence[str]) -> Layout:
+        """Units of features: `NAME[t-1]` a log column or phi, theta, psi one sample before, `NAME[t]` a command at t,
+        anything else a predicted output or a signal of the predicted state. Raises `UnknownNameError`, `ModelError`."""
+        return Layout([Signal(name=n, unit=self._unit(n)) for n in names])
+
+    def _unit(self, name: str) -> str:
+        late = _LATE.fullmatch(name)
+        if late:
+            if late["lag"] is None and late["name"] not in self.commands:
+                raise ModelError(
+                    f"feature {name} is a measurement of the predicted instant", expected="a command, or [t-1]"
+                )
+            column = late["name"]
+            return "rad" if column in ANGLES else channel(column).unit if is_canonical(column) else "1"
+        own = self._signals()
+        if name not in own:
+            raise UnknownNameError("feature", name, [*own, *(f"{c}[t-1]" for c in self.commands)])
+        return own[name]
+
+    def _signals(self) -> dict[str, str]:
+        outputs = {s.name: s.unit for s in self.dynamics.outputs if s.name in self.outputs}
+        if isinstance(self.model, LinearModel):
+            return {s.name: s.unit for s in self.dynamics.states} | outputs
+        there = model_features.available(self.dynamics)
+        return outputs | {n: u for n, u in there.items() if n not in self.dynamics.inputs.names}
+
+    def given(self, segment: Segment, names: Sequence[str]) -> FloatArray:
+        """The features (n, n_given) of the kinds `NAME[t-1]` and `NAME[t]` in their order, NaN where not measured."""
+        out = []
+        for name in names:
+            late = _LATE.fullmatch(name)
+            if late is None:
+                continue
+            column = late["name"]
+            if column in ANGLES and column not in segment.channels:
+                value = _angles(segment)[:, ANGLES.index(column)]
+            else:
+                value = segment.column(column)
+            if column in self.commands:
+                value = hold_missing(value[:, None])[0][:, 0]
+            out.append(value if late["lag"] is None else np.concatenate([[np.nan], value[:-1]]))
+        return np.column_stack(out) if out else np.zeros((segment.n, 0))
+
+    def features(self, segment: Segment, run: Run, names: Sequence[str]) -> FloatArray:
+        """Features (n, n_z) of every sample of a run; NaN where one is not known."""
+        width = sum(self._width)
+        windows = np.stack([run.inputs[k : k + segment.n] for k in range(width)], axis=1).reshape(segment.n, -1)
+        states = np.where(run.known[:, None], run.states, 0.0)
+        z = evaluate(self._told(tuple(names), None), states, windows, self.given(segment, names), run.p, run.shift)
+        return np.where(run.known[:, None], z, np.nan)
+
+    @property
+    def _width(self) -> tuple[int, int, int]:
+        past, future = self.dynamics.window
+        return past, 1, future
+
+    def _told(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
+        """(x, window, given, p, shift) -> z alone; with `posterior` or no names what a step of `rolled` needs."""
+        cache = self.__dict__.setdefault("_functions", {})
+        key = (names, id(posterior), bool(names) and posterior is None)
+        if key not in cache:
+            cache[key] = (self._build(names, posterior), posterior)
+        return cache[key][0]
+
+    def _build(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
+        d, n_o = self.dynamics, len(self.outputs)
+        x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", len(d.parameters))
+        window = ca.SX.sym("U", len(d.inputs), sum(self._width))
+        quiet = ca.DM.zeros(len(d.noises))
+        y = d.output(0, x, window, p, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
+        table = {n: y[i] for i, n in enumerate(self.outputs)}
+        own = [n for n in names if not _LATE.fullmatch(n)]
+        if isinstance(self.model, LinearModel):
+            table |= {n: x[i] for i, n in enumerate(d.states.names)}
+        else:
+            inner = [n for n in own if n in model_features.available(d)]
+            found = model_features.features(d, inner, x, window) if inner else ca.SX(0, 1)
+            table |= {n: found[i] for i, n in enumerate(inner)}
+        after = d.step(0, x, window, p, quiet, self.dt)
+        seen = ca.vertcat(*(table[n] for n in own)) if own else ca.SX(0, 1)
+        plain = ca.Function("plain", [x, window, p], [y, seen, after])
+        step, other = ca.SX.sym("d", len(d.error_states)), ca.SX.sym("x2", len(d.states))
+        plus = ca.Function("plus", [x, step], [d.boxplus(x, step)])
+        minus = ca.Function("minus", [other, x], [d.boxminus(other, x)])
+
+        state = ca.MX.sym("x", len(d.states))
+        flat = ca.MX.sym("U", len(d.inputs) * sum(self._width))
+        given = ca.MX.sym("given", len(names) - len(own))
+        values, shift = ca.MX.sym("p", len(d.parameters)), ca.MX.sym("shift", n_o)
+        columns = ca.reshape(flat, len(d.inputs), sum(self._width))
+        error, reference = ca.MX.sym("d", len(d.error_states)), ca.MX.sym("reference", len(d.states))
+        mean, told, following = plain(plus(state, error), columns, values)
+        mean = mean + shift
+        parts, i, j = [], 0, 0
+        for n in names:
+            if _LATE.fullmatch(n):
+                parts.append(given[j])
+                j += 1
+            else:
+                moved = isinstance(self.model, LinearModel) and n in self.outputs
+                parts.append(told[i] + shift[self.outputs.index(n)] if moved else told[i])
+                i += 1
+        z = ca.vertcat(*parts) if parts else ca.MX(0, 1)
+        arguments = [state, flat, given, values, shift]
+        still = ca.DM.zeros(len(d.error_states))
+        if names and posterior is None:
+            return ca.Function("features", arguments, [ca.densify(ca.substitute(z, error, still))])
+        push, spread = ca.MX.zeros(n_o), ca.MX.zeros(n_o)
+        if posterior is not None:
+            both = posterior.expressions(z, ("mean", "variance"))
+            push, spread = both["mean"], both["variance"]
+        following = plus(following, self.gain[0][:, self.rows] @ push)
+        mean = mean + push
+        away = minus(following, reference)
+        inner = ca.Function(
+            "inner", [error, reference, *arguments],
+            [mean, spread, following, ca.jacobian(mean, error), ca.jacobian(away, error)],
+        )  # fmt: skip
+        at = inner(still, state, *arguments)[2]
+        out = inner(still, at, *arguments)
+        return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
+
+    # ----------------------------------------------------------------------------------------------- many steps
+
+    def rolled(
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int, posterior: GPPosterior | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_o) from origins k, with the GP `posterior` as mean of the innovations or None.
+
+        Measured features keep their value at k. NaN where nothing is known at k+1, and past the end.
+        """
+        k = np.asarray(origins, dtype=np.int64).ravel()
+        if k.size and (k.min() < 0 or k.max() >= segment.n):
+            raise DataError("an origin lies outside the segment", expected=f"0 .. {segment.n - 1}")
+        run = self.run(segment)
+        names = () if posterior is None else posterior.inputs.names
+        given = self.given(segment, names)
+        held = np.array([m["name"] not in self.commands for n in names if (m := _LATE.fullmatch(n))], dtype=bool)
+        mean, variance = np.full((2, len(k), horizon, len(self.outputs)), np.nan)
+        for at in range(0, len(k), CHUNK):
+            part = slice(at, at + CHUNK)
+            mean[part], variance[part] = self._roll(segment.n, run, given, held, k[part], horizon, posterior)
+        return mean, variance
+
+    def _roll(
+        self, n: int, run: Run, given: FloatArray, held: npt.NDArray[np.bool_], k: npt.NDArray[np.int64], horizon: int,
+        posterior: GPPosterior | None,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        told = self._told(() if posterior is None else tuple(posterior.inputs.names), posterior)
+        gain, cov = self.gain
+        rows, n_o, n_d, n_x = self.rows, len(self.outputs), gain.shape[0], len(self.dynamics.states)
+        if posterior is not None:
+            # The noise of the GP is what is left of the innovations that it foretells.
+            scale = np.ones(len(cov))
+            scale[rows] = np.sqrt(posterior.noise / np.diag(cov)[rows])
+            cov = cov * scale * scale[:, None]
+        fresh = gain @ cov @ gain.T
+        own = np.diag(cov)[rows]
+        mean, variance = np.full((2, len(k), horizon, n_o), np.nan)
+        start = np.minimum(k + 1, n - 1)
+        live = np.flatnonzero((k + 1 < n) & run.known[start] & np.isfinite(given[start]).all(axis=1))
+        x = run.states[start[live]]
+        white, learned = np.zeros((len(live), n_d, n_d)), np.zeros((len(live), n_d, n_o))
+        width = sum(self._width)
+        for h in range(1, horizon + 1):
+            row = k[live] + h
+            keep = row < n
+            live, x, white, learned, row = live[keep], x[keep], white[keep], learned[keep], row[keep]
+            if not live.size:
+                break
+            z = np.where(held, given[k[live] + 1], given[row])
+            windows = run.inputs[row[:, None] + np.arange(width)].reshape(len(row), -1)
+            out = evaluate(told, x, windows, z, run.p, run.shift)
+            mean[live, h - 1] = out[:, :n_o]
+            sd = np.sqrt(np.maximum(out[:, n_o : 2 * n_o], 0.0))
+            x = out[:, 2 * n_o : 2 * n_o + n_x].copy()
+            at = 2 * n_o + n_x
+            c = out[:, at : at + n_o * n_d].reshape(-1, n_d, n_o).swapaxes(1, 2)
+            a = out[:, at + n_o * n_d :].reshape(-1, n_d, n_d).swapaxes(1, 2)
+            now = c @ learned
+            now[:, range(n_o), range(n_o)] += sd
+            variance[live, h - 1] = np.einsum("mij,mjk,mik->mi", c, white, c) + own + np.sum(now**2, axis=2)
+            white = a @ white @ a.swapaxes(1, 2) + fresh
+            learned = a @ learned + gain[:, rows] * sd[:, None, :]
+        return mean, variance
+
+
+def _angles(segment: Segment) -> FloatArray:
+    q = segment.matrix(QUATERNION)
+    out = np.full((segment.n, 3), np.nan)
+    seen = np.isfinite(q).all(axis=1)
+    out[seen] = numeric("euler", q[seen])
+    return out
+
+
+def _blocks(a: FloatArray, b: FloatArray, c: FloatArray) -> list[tuple[list[int], list[int], list[int]]]:
+    """(states, inputs, outputs) of the parts of a model that do not touch each other."""
+    n = len(a)
+    left, out = set(range(n)), []
+    while left:
+        members, new = set(), {min(left)}
+        while new:
+            members |= new
+            i = sorted(members)
+            inputs, outputs = np.any(b[i] != 0, axis=0), np.any(c[:, i] != 0, axis=1)
+            linked = np.any(a[i] != 0, axis=0) | np.any(a[:, i] != 0, axis=1)
+            linked |= np.any(b[:, inputs] != 0, axis=1) | np.any(c[outputs] != 0, axis=0)
+            new = set(np.flatnonzero(linked).tolist()) - members
+        i = sorted(members)
+        out.append(
+            (
+                i,
+                np.flatnonzero(np.any(b[i] != 0, axis=0)).tolist(),
+                np.flatnonzero(np.any(c[:, i] != 0, axis=1)).tolist(),
+            )
+        )
+        left -= members
+    return out

@@ -1,0 +1,236 @@
+"""The paper's output residual: a Gaussian process on r(t) = y(t) - y_PEM(t|t-1), for linear and physical models.
+
+Ghoul, Bousserhane and Boufeldja 2026 (IJCAS 24(8), phase 2) learn r from z = [phi, theta, psi, p, q, r, u1..u4] of time t,
+which hold the measurement that is to be predicted. Here z holds what is known before it: the predicted state or outputs
+(t|t-1), attitude and commands one sample old. The command that begins at t may be named (`u1[t]`); a flight controller
+computes it from y(t), so that it gives the noise of y(t) away, and it is left out by default. So is psi: nothing that flies
+in free air feels where north is.
+
+r is the mean of the next innovation. In a free run it therefore moves the state as a measured innovation would
+(`greybox.residual.base_predictor`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Dataset, Segment
+from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.files import checksum, read_json, to_plain, write_json
+from greybox.model.effect import Effect
+from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
+from greybox.model.linear import LinearModel
+from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor, Terms, combined
+from greybox.residual.features import default_features
+from greybox.residual.posterior import GPPosterior
+from greybox.residual.regressors import segments_of
+from greybox.symbolic import FloatArray, Layout, Signal
+
+KIND = "output-hybrid"
+LINEAR_SCHEMAS = ("greybox.linear_model/1", "greybox.linear_models/1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OutputHybrid:
+    """`base` plus the Gaussian process `posterior` on its one-step errors. Plain numbers, no torch.
+
+    The posterior's outputs are those of `base`, its inputs features of `BasePredictor.feature_layout`. Raises `ModelError`.
+    """
+
+    base: BasePredictor
+    posterior: GPPosterior
+    train_seconds: float = 0.0
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.posterior.outputs.names != self.base.outputs:
+            raise ModelError(
+                "the GP does not foretell the errors of this model", expected=", ".join(self.base.outputs),
+                got=", ".join(self.posterior.outputs.names),
+            )  # fmt: skip
+        self.base.feature_layout(self.posterior.inputs.names)
+
+    @property
+    def name(self) -> str:
+        """Name of the base model and what was learned."""
+        return f"{self.base.model.name} + output GP"
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the predicted channels."""
+        return self.base.outputs
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of what the Gaussian process looks at."""
+        return self.posterior.inputs.names
+
+    @cached_property
+    def parameters(self) -> int:
+        """Those of the base, hyper-parameters, support points and weights."""
+        gp = self.posterior
+        kernels = {id(k): k for k in gp.kernels}
+        own = sum(len(k.lengthscales) + 1 for k in kernels.values()) + gp.noise.size + gp.support.size + gp.weights.size
+        return self.base.parameters + own
+
+    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (n, n_o), noise included, of every sample from what is known before it; NaN where too little
+        is (starts, holes in the features, the seconds that were adapted on)."""
+        run = self.base.run(segment)
+        z = self.base.features(segment, run, self.features)
+        whole = np.isfinite(z).all(axis=1) & run.known
+        mean, variance = np.full((2, segment.n, len(self.outputs)), np.nan)
+        if whole.any():
+            added, variance[whole] = self.posterior.evaluate(z[whole], noise=True)
+            mean[whole] = run.mean[whole] + added
+        return mean, variance
+
+    def free_run(self, segment: Segment, origins: npt.ArrayLike, horizon: int) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m, horizon, n_o) of the samples k+1 .. k+horizon from every origin k; recorded commands."""
+        return self.base.rolled(segment, origins, horizon, self.posterior)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one JSON file, atomically: schema "greybox.model/1", kind "output-hybrid". Raises `ModelError` for a base
+        that is not made of catalogue parts."""
+        base = self.base
+        body = to_plain(
+            {
+                "schema": SCHEMA,
+                "kind": KIND,
+                "name": self.name,
+                "base": base.model.to_dict(),
+                "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
+                "outputs": list(base.outputs),
+                "adapt": base.adapt,
+                "gp": self.posterior.to_dict(),
+                "train_seconds": self.train_seconds,
+                "base_seconds": base.train_seconds,
+                "report": dict(self.report),
+            }
+        )
+        return write_json(path, {**body, "versions": library_versions(), "checksum": checksum(body)})
+
+    @staticmethod
+    def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> OutputHybrid:
+        """Read what `save` wrote; `effects` are those that are not in the catalogue. Raises `FileFormatError`."""
+        where = str(path)
+        data = read_json(path, schema=SCHEMA)
+        if data.get("kind") != KIND:
+            raise FileFormatError(
+                "not an output hybrid", where=where, expected=KIND, got=repr(data.get("kind")),
+                fix="read it with greybox.load_model",
+            )  # fmt: skip
+        body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
+        if data.get("checksum") != checksum(body):
+            raise FileFormatError("the checksum does not fit", where=where, fix="the file was edited; write it again")
+        try:
+            linear = body["base"]["schema"] in LINEAR_SCHEMAS
+            model: Base = (
+                LinearModel.from_dict(body["base"], where=where)
+                if linear
+                else IdentifiedModel.from_dict(body["base"], where=where, effects=effects)
+            )
+            base = BasePredictor(
+                model=model, outputs=tuple(body["outputs"]),
+                channels={n: tuple((float(w), c) for w, c in terms) for n, terms in body["channels"].items()},
+                adapt=body["adapt"], train_seconds=float(body["base_seconds"]),
+            )  # fmt: skip
+            return OutputHybrid(
+                base=base, posterior=GPPosterior.from_dict(body["gp"]), train_seconds=float(body["train_seconds"]),
+                report=body["report"],
+            )  # fmt: skip
+        except (KeyError, TypeError) as error:
+            raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write it again") from None
+
+
+def output_features(base: BasePredictor, channels: Iterable[str]) -> tuple[str, ...]:
+    """The default features: the predicted outputs of a linear model, or the motion and rotors of a physical one; roll and
+    pitch; commands. Attitude and commands are one sample old. `channels` are those of the log."""
+    there = set(channels)
+    angles = tuple(f"{a}[t-1]" for a in ("phi", "theta") if {"qw", "qx", "qy", "qz"} <= there or a in there)
+    commands = tuple(f"{c}[t-1]" for c in base.commands)
+    if isinstance(base.model, LinearModel):
+        return (*base.outputs, *angles, *commands)
+    own = [n for n in default_features(base.dynamics) if n not in base.dynamics.inputs.names]
+    attitude = ("phi", "theta") if "rate" in {n.split(".")[0] for n in base.dynamics.states.names} else ()
+    rotors = any(n.startswith("nu") for n in own)
+    return (*attitude, *own, *(() if rotors else commands))
+
+
+def residual_rows(
+    base: BasePredictor, data: Dataset | Segment | Sequence[Segment], names: Sequence[str]
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.str_]]:
+    """(features (N, n_z), one-step errors (N, n_o), flight of each row (N,)) of all complete samples. Raises `DataError`.
+
+    Of a linear model that is not adapted to the flight the first seconds, in which it forgets its start, are left out.
+    """
+    z, r, flights = [], [], []
+    for segment in segments_of(data):
+        run = base.run(segment)
+        rows = base.features(segment, run, names)
+        errors = segment.matrix(base.outputs) - run.mean
+        whole = np.isfinite(rows).all(axis=1) & np.isfinite(errors).all(axis=1)
+        if isinstance(base.model, LinearModel) and base.adapt is None:
+            whole[: min(round(RUN_IN / segment.dt), segment.n // 3)] = False
+        z.append(rows[whole])
+        r.append(errors[whole])
+        flights.append(np.full(int(whole.sum()), segment.flight))
+    if not z or not sum(map(len, z)):
+        raise DataError("no sample with all features and outputs", expected=", ".join((*names, *base.outputs)))
+    return np.concatenate(z), np.concatenate(r), np.concatenate(flights)
+
+
+def fit_output_residual(
+    model: Base | Sequence[LinearModel] | BasePredictor,
+    train: Dataset | Segment | Sequence[Segment],
+    *,
+    outputs: Sequence[str] = (),
+    channels: Mapping[str, Terms] | None = None,
+    features: Sequence[str] | None = None,
+    kernel: str = "se",
+    points: int | str = 100,
+    adapt: float | None = None,
+    seed: int = 0,
+    hold_out: float = 0.25,
+    progress: Callable[[str, float], None] | None = None,
+) -> OutputHybrid:
+    """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of `train`.
+
+    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to `output_features`; `kernel`,
+    `points` and `hold_out` are those of `train_gp`. Raises `DataError`, `UnknownNameError`, `ModelError`, and
+    `MissingExtraError` without the extra `gp`.
+    """
+    from greybox.residual.train import train_gp
+
+    began = time.perf_counter()
+    if isinstance(model, BasePredictor):
+        base = model
+    else:
+        given = dict(channels or {})
+        if not isinstance(model, (LinearModel, IdentifiedModel)):
+            model, given = combined(model, given)
+        base = BasePredictor(model=model, outputs=tuple(outputs), channels=given, adapt=adapt)
+    segments = segments_of(train)
+    common = [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
+    names = tuple(features) if features is not None else output_features(base, common)
+    layout = base.feature_layout(names)
+    z, r, flights = residual_rows(base, segments, names)
+    units = {s.name: s.unit for s in base.dynamics.outputs}
+    trained = train_gp(
+        z, r, inputs=layout, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), kernel=kernel,
+        points=points, seed=seed, groups=flights, hold_out=hold_out, progress=progress,
+    )  # fmt: skip
+    settings = {"features": list(names), "kernel": kernel, "points": points}
+    return OutputHybrid(
+        base=base, posterior=trained.posterior, train_seconds=time.perf_counter() - began,
+        report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
+    )  # fmt: skip
