@@ -148,11 +148,11 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(UnknownNameError, match="force"):
         HybridModel(inner=pendulum(), posterior=push(craft()))
     posterior = push(craft())
+    wrong = Layout([Signal(name=s.name, unit="kg") for s in posterior.outputs])
     with pytest.raises(ModelError, match="unit"):
-        wrong = Layout([Signal(name=s.name, unit="kg") for s in posterior.outputs])
         HybridModel(inner=craft(), posterior=replace(posterior, outputs=wrong))
+    wrong = Layout([Signal(name=n, unit="-") for n in ("airspeed", *FEATURES[1:])])
     with pytest.raises(UnknownNameError, match="feature"):
-        wrong = Layout([Signal(name=n, unit="-") for n in ("airspeed", *FEATURES[1:])])
         HybridModel(inner=craft(), posterior=replace(posterior, inputs=wrong))
 
 
