@@ -228,6 +228,16 @@ class PhysicsModel:
         return tuple(b for b in BLOCKS if b in kept)
 
     @cached_property
+    def _feels_place(self) -> bool:
+        """Whether forces or moments depend on the position (as near the ground)."""
+        if not self.effects or "position" not in self._kept:
+            return False
+        x = {b: ca.SX.sym(b, BLOCKS[b][2]) for b in BLOCKS}
+        nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
+        sf, alpha, _ = self._rigid_body(x, nu, nu * 0, u, ca.SX.sym("p", len(self.parameters)), ca.DM.zeros(6))
+        return any(ca.which_depends(ca.vertcat(sf, alpha), x["position"], 1, False))
+
+    @cached_property
     def states(self) -> Layout:
         """Kept rigid-body blocks, then rotor.1..rotor.n where there is a lag."""
         rows = [Signal(name=f"{b}.{a}", unit=BLOCKS[b][1], meaning=b) for b in self._kept for a in BLOCKS[b][0]]
@@ -629,8 +639,10 @@ class PhysicsModel:
         return np.concatenate(values) if values else np.zeros(0), np.asarray(sigma)
 
     def reference(self, means: Mapping[str, float]) -> FloatArray:
-        """Level and at rest at the origin, rotors at the mean command."""
+        """Level and at rest, rotors at the mean command; at the mean position where forces depend on it, else 0."""
         blocks = {"position": [0.0] * 3, "velocity": [0.0] * 3, "attitude": [1.0, 0.0, 0.0, 0.0], "rate": [0.0] * 3}
+        if self._feels_place:
+            blocks["position"] = [means.get(a, 0.0) for a in "xyz"]
         out = [v for b in self._kept for v in blocks[b]]
         if self._has_lag:
             out += [means.get(n, 0.5) for n in self.inputs.names[: self._n]]

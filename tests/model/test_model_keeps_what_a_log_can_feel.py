@@ -147,3 +147,12 @@ def test_a_disturbance_names_a_channel_of_the_model():
     assert sigma.size == len(only.error_states) == only.reference({}).size - 1
     assert (sigma > 0).all()
     assert only.noise_scale(0.01).size == len(only.noises)
+
+
+def test_the_filter_is_linearised_at_the_flown_height_where_height_matters():
+    means = {"x": 1.0, "y": 2.0, "z": 0.3, "u1": 0.6, "u2": 0.5, "u3": 0.5, "u4": 0.5}
+    plain, near = model_of(X250, "motor_lag"), model_of(X250, "motor_lag", "ground_effect")
+    position = slice(plain.states["position.x"], plain.states["position.z"] + 1)
+    np.testing.assert_array_equal(plain.reference(means)[position], [0, 0, 0])
+    np.testing.assert_array_equal(near.reference(means)[position], [1, 2, 0.3])
+    np.testing.assert_array_equal(plain.reference(means)[-4:], near.reference(means)[-4:])

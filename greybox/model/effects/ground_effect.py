@@ -28,7 +28,10 @@ class GroundEffect(Effect):
         "Sanchez-Cuevas, Heredia and Ollero 2017, Characterization of the Aerodynamic Ground Effect and Its Influence in "
         "Multirotor Control, International Journal of Aerospace Engineering 2017, 1823056",
     )
-    validity = "hubs higher than half a rotor radius over level ground at z = 0, slow flight"
+    validity = (
+        "hubs higher than half a rotor radius over level ground at z = 0, slow flight; lower than about two radii fit with "
+        "the kalman predictor, whose gain follows the height"
+    )
     needs = Needs(vehicle=("actuator.rotor_radius",), sensors=("position",))
     case = ReferenceCase(
         parameters={"k": 1.6},

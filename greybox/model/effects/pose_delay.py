@@ -14,7 +14,8 @@ from greybox.symbolic import Expr
 class PoseDelay(Effect):
     """Position, velocity and attitude as they were d seconds earlier, by back-extrapolation from the present state.
 
-    A negative d means that the IMU and the commands are the later ones.
+    A negative d means that the IMU and the commands are the later ones: logs whose clocks drift against each other need
+    both signs. sensor_delay cannot replace them, since there the commands stay with the pose.
     """
 
     name = "pose_delay"
