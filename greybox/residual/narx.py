@@ -33,7 +33,7 @@ Data = Dataset | Segment | Sequence[Segment]
 CHUNK = 4096
 """Origins that are rolled out at once (bounds the memory)."""
 SPACE: dict[str, tuple[Any, ...]] = {
-    "lags": (2, 4, 8),
+    "lags": (2, 4),
     "kernel": ("se", "matern52"),
     "increments": (False, True),
     "points": (100, 200),

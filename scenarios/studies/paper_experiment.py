@@ -33,7 +33,7 @@ def run_seed(
     methods: Mapping[str, Callable[[Bench], Outcome]],
     *,
     noise: bool = True,
-    budget: int = 6,
+    budget: int = 4,
     again: Sequence[str] = (),
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
-    parser.add_argument("--budget", type=int, default=6, help="candidates per method with choices")
+    parser.add_argument("--budget", type=int, default=4, help="candidates per method with choices")
     parser.add_argument("--methods", help="only these, separated by commas")
     parser.add_argument("--again", default="", help="compute these anew")
     parser.add_argument("--out", default="paper_experiment", metavar="DIR")

@@ -40,12 +40,13 @@ def intensity(data: PaperData) -> Array:
 
 
 def spectral_error(y: Array, predicted: Array) -> float:
-    """Root mean square over 0.4-20 Hz of the ratio of the two power spectra [dB] (Welch, 1.28 s)."""
+    """Root mean square over 0.4-20 Hz of the ratio of the two power spectra [dB] (Welch, 1.28 s); at most 120 dB count."""
     spectra = []
     for values in (y, predicted):
         frequency, power = scipy.signal.welch(values, fs=1.0 / DT, nperseg=min(128, len(values)))
         spectra.append(power[(frequency >= 0.4) & (frequency <= 20.0)])
-    return float(np.sqrt(np.mean((10.0 * np.log10(spectra[1] / spectra[0])) ** 2)))
+    true, told = (np.maximum(power, 1e-12 * spectra[0].max()) for power in spectra)
+    return float(np.sqrt(np.mean((10.0 * np.log10(told / true)) ** 2)))
 
 
 def scores(data: PaperData, outcome: Outcome) -> dict[str, Any]:
