@@ -53,7 +53,7 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
     try:
         base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects)
         posterior = GPPosterior.from_dict(data["gp"])
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from hybrid_cases import DT, drawn_weights, pendulum_model, swings
 
 from greybox.estimation.filtering import Filter
 from greybox.estimation.propagation import Propagator
@@ -18,6 +17,7 @@ from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.sparse import variational
 from greybox.symbolic import Layout
+from tests.residual.hybrid_cases import DT, drawn_weights, pendulum_model, swings
 
 ORIGIN, H = 40, 15
 NAMES = ("angle", "rate")

@@ -7,13 +7,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from hybrid_cases import CHANNELS, FEATURES, SIZES, craft, craft_model, hybrid, pendulum, push
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.build import compiler
 from greybox.estimation.engine import engine_for
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
+from tests.residual.hybrid_cases import CHANNELS, FEATURES, SIZES, craft, craft_model, hybrid, pendulum, push
 
 DT = 0.01
 
