@@ -1,0 +1,1 @@
+"""Discovery: find where simulation and data disagree, name the missing effect, add it, verify."""

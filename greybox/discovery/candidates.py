@@ -1,0 +1,90 @@
+"""Candidates: the whole catalogue in one model, every effect at its null; and what cannot be judged, with the reason.
+
+At its null an effect is exactly absent, so that every smaller model is nested in the one that holds them all: one build
+serves the null fit, the score tests and every refit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from greybox.errors import GreyboxError
+from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
+from greybox.model.model import PhysicsModel, build_model
+from greybox.model.vehicle import Vehicle
+
+TOGETHER = (("motor_lag", "command_delay"),)
+"""Effects whose slopes at the null are the same: they always enter a refit together."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """`model` holds the known effects and all candidates; `parameters` maps a candidate to its full parameter names,
+    `null` every one of these to its null; `core` are the core parameters that are free (their sigma is above zero) with
+    those of known effects; `unjudged` maps an effect to the reason why the log cannot judge it."""
+
+    model: PhysicsModel
+    parameters: Mapping[str, tuple[str, ...]]
+    null: Mapping[str, float]
+    core: tuple[str, ...]
+    unjudged: Mapping[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The candidates in the order of the catalogue."""
+        return tuple(self.parameters)
+
+    @property
+    def build(self) -> tuple[str, ...]:
+        """All parameters that any fit may free."""
+        wanted = {*self.core, *(p for ps in self.parameters.values() for p in ps)}
+        return tuple(d.name for d in self.model.parameters if d.name in wanted)
+
+
+def candidates(
+    vehicle: Vehicle,
+    columns: Iterable[str],
+    *,
+    own: Iterable[Effect] = (),
+    sample_time: float = 0.01,
+    noncausal: Iterable[str] = (),
+    kinematic_noise: bool = False,
+) -> Candidates:
+    """All effects of the catalogue and of the user's `own` that the vehicle file and the `columns` of the log allow.
+
+    Effects in the vehicle file are known and not offered again. Raises `ModelError` for a log without sensors.
+    """
+    columns = tuple(columns)
+    common = {"sample_time": sample_time, "noncausal": noncausal, "kinematic_noise": kinematic_noise}
+    bare = build_model(vehicle, columns, (), **common)  # type: ignore[arg-type]
+    known = {e.name for e in bare.effects}
+    offered: list[Effect] = []
+    unjudged: dict[str, str] = {}
+    for effect in (*CATALOGUE, *own):
+        if effect.name in known:
+            continue
+        missing = [c for c in effect.needs.columns if c not in columns]
+        if missing:
+            unjudged[effect.name] = f"no {', '.join(missing)}"
+            continue
+        if effect.name == "rotor_gyroscopic" and not bare.omega_known:
+            unjudged[effect.name] = "no speed_max in the vehicle file"
+            continue
+        try:
+            bare.with_effect(effect)
+        except GreyboxError as error:
+            unjudged[effect.name] = str(error)
+            continue
+        offered.append(effect)
+    model = build_model(vehicle, columns, offered, **common)  # type: ignore[arg-type]
+    parameters: dict[str, tuple[str, ...]] = {}
+    null: dict[str, float] = {}
+    for effect in offered:
+        declared = effect.parameters(vehicle)
+        parameters[effect.name] = tuple(f"{effect.name}.{d.name}" for d in declared)
+        null |= {f"{effect.name}.{d.name}": float(d.null) for d in declared if d.null is not None}
+    every = {p for ps in parameters.values() for p in ps}
+    core = tuple(d.name for d in model.parameters if d.sigma > 0 and d.name not in every)
+    return Candidates(model=model, parameters=parameters, null=null, core=core, unjudged=unjudged)

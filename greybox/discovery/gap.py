@@ -1,0 +1,184 @@
+"""Gap: how far simulation and measurement are apart, per channel group and horizon, before and after; with the floor.
+
+E(h) is the RMSE of the open-loop prediction h ahead from the filtered state, pooled over all origins of the test flights;
+the floor E0(h) is dead reckoning with the measured IMU (no model that sees commands alone can do better). The share that
+was closed is 1 - (E_after^2 - E0^2)/(E_before^2 - E0^2), with a block bootstrap (blocks of one second, whole flights where
+there are at least four; Kunsch 1989, Annals of Statistics 17(3)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from greybox.data import Dataset, Segment
+from greybox.errors import DataError
+from greybox.estimation.filtering import Filter
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+from greybox.validation.adapt import adapt_to_flight
+from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
+from greybox.validation.groups import GROUPS, error_norms
+from greybox.validation.open_loop import GroupReader, predict_from
+
+SECONDS = (0.0, 0.1, 0.5, 1.0)
+"""Horizons [s]; 0 stands for one sample."""
+NOTHING = 1.2
+"""Below this ratio of before^2 to floor^2 there is no gap to close."""
+STRIDE = 0.05
+"""Seconds between origins."""
+Squares = dict[tuple[str, float], list[FloatArray]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GapRow:
+    """One group and horizon: RMSE before and after, the floor (None without an IMU or attitude), share closed (None where
+    there was no gap) and its 95 % interval."""
+
+    group: str
+    unit: str
+    horizon_s: float
+    before: float
+    after: float
+    floor: float | None
+    closed: float | None
+    ci95: tuple[float, float] | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in discovery.json."""
+        return {
+            "group": self.group, "unit": self.unit, "horizon_s": self.horizon_s, "before": self.before,
+            "after": self.after, "floor": self.floor, "closed": self.closed,
+            "ci95": None if self.ci95 is None else list(self.ci95),
+        }  # fmt: skip
+
+
+def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
+    """((group, horizon) -> one array of squared errors per second of flight, in order; the same of the floor)."""
+    runner, reader = Filter(model), GroupReader(model)
+    dt = model.sample_time
+    groups = reader.judged(data.any_channels)
+    steps = {s: max(1, round(s / dt)) for s in SECONDS}
+    longest = max(steps.values())
+    own: Squares = {(g, s): [] for g in groups for s in SECONDS}
+    floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
+    for flight in data:
+        p = model.flight_vector(flight.name)
+        begin = float(flight.segments[0].t[0])
+        if adapt is not None and model.flight_spread:
+            p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
+            begin += adapt
+        for segment in flight.segments:
+            late = np.flatnonzero(segment.t >= begin + 0.1)
+            origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
+            if not origins.size:
+                continue
+            seen = {n: v for n, v in segment.channels.items() if n not in flight.noncausal}
+            bare = Segment(t=segment.t, channels=seen, flight=segment.flight, extra=segment.extra)
+            filtered = runner.run(bare, p=p)
+            predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
+            references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
+            second = np.asarray((segment.t[origins] - segment.t[0]) // 1.0, dtype=int)
+            _collect(own, predicted, references, origins, steps, second)
+            dead = _floor(model, segment, filtered, reader, origins, longest, references)
+            if dead is not None:
+                _collect(floor, dead, references, origins, steps, second)
+    if not any(own.values()):
+        raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
+    return own, floor
+
+
+def _collect(
+    into: Squares, predicted: dict[str, FloatArray], references: dict[str, FloatArray], origins: Any,
+    steps: dict[float, int], second: Any,
+) -> None:  # fmt: skip
+    for (g, s), rows in into.items():
+        if g not in predicted:
+            continue
+        h = steps[s]
+        target = references[g][origins + h]
+        norms = error_norms(g, predicted[g][:, h - 1], target)
+        for block in np.unique(second):
+            value = norms[second == block]
+            rows.append(value[np.isfinite(value)] ** 2)
+
+
+def _floor(
+    model: IdentifiedModel, segment: Segment, filtered: Any, reader: GroupReader, origins: Any, steps: int,
+    references: dict[str, FloatArray],
+) -> dict[str, FloatArray] | None:  # fmt: skip
+    imu = [c for g in ("rate", "specific_force") for c in GROUPS[g].columns]
+    if not all(c in segment.channels for c in imu) or "rotation" not in references:
+        return None
+    commands = filtered.record.inputs[origins + model.dynamics.window[0]]
+    own = reader.values(filtered.outputs[origins], filtered.states[origins], filtered.p, commands)
+    record = ImuRecord.of(
+        segment.matrix(GROUPS["rate"].columns), segment.matrix(GROUPS["specific_force"].columns),
+        sample_time=segment.dt,
+    )  # fmt: skip
+    start = {g: references[g][origins].copy() if g in references else own.get(g) for g in ("rotation", "position")}
+    attitude = start["rotation"]
+    assert attitude is not None
+    attitude[~np.isfinite(attitude).all(axis=1)] = [1.0, 0.0, 0.0, 0.0]
+    gravity = float(model.physics.vehicle.gravity)
+    return dead_reckoning(
+        record, origins, attitude=attitude, velocity=own.get("velocity"), position=start["position"], steps=steps,
+        bias=ImuBias.zero(), gravity=gravity,
+    )  # fmt: skip
+
+
+def gap(
+    before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, draws: int = 500, seed: int = 0
+) -> list[GapRow]:
+    """Rows for every group and horizon that both models predict, from what `squares` gave."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for key, blocks in before[0].items():
+        own, floor = after[0].get(key, []), after[1].get(key, [])
+        if not blocks or len(own) != len(blocks):
+            continue
+        sums = [np.array([(b.sum(), b.size) for b in bs]) for bs in (blocks, own)]
+        floors = np.array([(b.sum(), b.size) for b in floor]) if len(floor) == len(blocks) else None
+        total = [_mean(s) for s in sums]
+        base = None if floors is None else _mean(floors)
+        closed, interval = None, None
+        if total[0] > NOTHING * (base or 0.0) and total[0] > 0:
+            closed = _closed(total[0], total[1], base or 0.0)
+            drawn = []
+            for _ in range(draws):
+                pick = rng.integers(0, len(blocks), len(blocks))
+                b, a = (_mean(s[pick]) for s in sums)
+                f = 0.0 if floors is None else _mean(floors[pick])
+                if b > f:
+                    drawn.append(_closed(b, a, f))
+            if drawn:
+                interval = (float(np.quantile(drawn, 0.025)), float(np.quantile(drawn, 0.975)))
+        out.append(
+            GapRow(
+                group=key[0],
+                unit=GROUPS[key[0]].unit,
+                horizon_s=key[1],
+                before=float(np.sqrt(total[0])),
+                after=float(np.sqrt(total[1])),
+                floor=None if base is None else float(np.sqrt(base)),
+                closed=closed,
+                ci95=interval,
+            )
+        )
+    return out
+
+
+def _mean(sums: FloatArray) -> float:
+    return float(sums[:, 0].sum() / max(sums[:, 1].sum(), 1.0))
+
+
+def _closed(before: float, after: float, floor: float) -> float:
+    return float(1 - (after - floor) / (before - floor))
+
+
+def groups_of(rows: Sequence[GapRow]) -> tuple[str, ...]:
+    """The groups in the order of the table."""
+    return tuple(dict.fromkeys(r.group for r in rows))

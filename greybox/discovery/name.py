@@ -1,0 +1,86 @@
+"""Name: which effect to add next, and when not to say its name.
+
+Candidates that pass the family-wise score test are refitted jointly with everything found so far; the likelihood decides
+between them (BIC). A candidate is named when it beats every rival by more than 10 (very strong evidence, Kass and Raftery
+1995); rivals within 10 are returned as a group. Effects whose slopes at the null are the same (motor lag and command
+delay) are refitted alone and together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.discovery.candidates import TOGETHER
+from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.screen import Score
+
+CLEAR = 10.0
+"""BIC difference above which one model is said to beat another."""
+CONTENDERS = 4
+"""How many candidates of a screening are refitted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Addition:
+    """One step: `effects` were added (one, or two that go together) with family-wise `p_value`; `delta_bic` = BIC without
+    minus BIC with, `delta_bic_rival` to the best rival (None without one), `rivals` name -> weight of those within `CLEAR`
+    (empty: the name is clear). `before` and `after` are the fits."""
+
+    effects: tuple[str, ...]
+    p_value: float
+    delta_bic: float
+    delta_bic_rival: float | None
+    rivals: dict[str, float]
+    before: NestedFit
+    after: NestedFit
+    scores: tuple[Score, ...]
+
+
+def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float) -> Addition | None:
+    """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly."""
+    passing = [s for s in scores if s.judged and s.p_family <= alpha][:CONTENDERS]
+    if not passing:
+        return None
+    by_name = {s.name: s for s in scores}
+    sets: list[tuple[str, ...]] = [(s.name,) for s in passing]
+    for pair in TOGETHER:
+        if any(s.name in pair for s in passing):
+            members = tuple(n for n in pair if n in by_name and by_name[n].judged)
+            sets += [(n,) for n in members if (n,) not in sets]
+            if len(members) > 1:
+                sets.append(members)
+    fits: dict[tuple[str, ...], NestedFit] = {}
+    for chosen in sets:
+        first = {k: v for n in chosen for k, v in by_name[n].estimate.items()}
+        found = nest.refit((*at.effects, *chosen), start=at, first=first)
+        if found.fit.converged and not any(found.at_bound(n) for n in chosen):
+            fits[chosen] = found
+    if not fits:
+        return None
+    order = sorted(fits, key=lambda c: fits[c].bic)
+    best = order[0]
+    gain = at.bic - fits[best].bic
+    if gain < CLEAR:
+        return None
+    # A pair that contains the best, or a part of it, is no rival: it is the same story with more or fewer words.
+    others = [c for c in order[1:] if not set(c) & set(best)]
+    gaps = {"+".join(c): fits[c].bic - fits[best].bic for c in others}
+    near = {n: g for n, g in gaps.items() if g < CLEAR}
+    weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
+    weights /= weights.sum()
+    rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
+    return Addition(
+        effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
+        delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=fits[best],
+        scores=tuple(scores),
+    )  # fmt: skip
+
+
+def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[bool, float]:
+    """(whether `effect` still improves BIC next to the others, BIC without - BIC with), by a refit without it."""
+    smaller = nest.refit(tuple(e for e in at.effects if e != effect), start=at)
+    gain = smaller.bic - at.bic
+    return gain > 0, gain

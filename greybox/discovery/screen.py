@@ -1,0 +1,176 @@
+"""Screen: score tests of every candidate effect through the predictor, at the fit without it.
+
+At the estimate of the smaller model the score s of a further parameter has mean zero if its null is true. With the
+nuisance parameters (everything that is free already) projected out,
+
+    s~ = s_c - H_cn H_nn^-1 s_n,   V = H_cc - H_cn H_nn^-1 H_nc,   T = s~' V^-1 s~  ~  chi^2 (Rao 1948)
+
+and V^-1 s~ (with a minus, for a cost) is the first estimate of the parameters (Engle 1984, Handbook of Econometrics II,
+ch. 13). One evaluation of the likelihood with all sensitivities serves the whole catalogue. Many effects are tested at
+once and innovations are coloured, so that the largest of all statistics is calibrated by a multiplier bootstrap of the
+projected scores of blocks of samples (Chernozhukov, Chetverikov and Kato 2013, Annals of Statistics 41(6)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from greybox.estimation.problem import Problem, Value
+from greybox.symbolic import FloatArray
+
+COLLINEAR = 0.02
+"""Share of a parameter's information that must be left when the free parameters are projected out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """Test of one candidate. `statistic` is chi^2 with `dof` degrees of freedom in the Fisher metric, `robust` the same
+    in the metric of the block scores; `p` for this test alone (robust), `p_family` for the largest of all. `estimate` and
+    `std` are the one-step estimates by parameter. `left` is the smallest share of information that the free parameters
+    leave to a direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
+
+    name: str
+    statistic: float
+    robust: float
+    dof: int
+    p: float
+    p_family: float
+    estimate: Mapping[str, float]
+    std: Mapping[str, float]
+    left: float
+    judged: bool
+    reason: str = ""
+
+
+def screen(
+    problem: Problem,
+    value: Value,
+    groups: Mapping[str, Sequence[str]],
+    *,
+    draws: int = 999,
+    seed: int = 0,
+) -> list[Score]:
+    """Score tests of `groups` (candidate -> parameter names), best first.
+
+    `problem` has all of their parameters free, and `value` is its evaluation at the smaller model's estimate with block
+    scores; every unknown that is in no group is a nuisance. Deterministic for a seed.
+    """
+    assert value.gradient is not None
+    assert value.hessian is not None
+    assert value.scores is not None
+    names = [u.name for u in problem.unknowns]
+    owner = {p: g for g, ps in groups.items() for p in ps}
+    nuisance = np.array([i for i, n in enumerate(names) if n not in owner], dtype=int)
+    scale = np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
+    h = value.hessian / np.outer(scale, scale)
+    block = value.scores / scale
+    prior = (value.gradient - value.scores.sum(axis=0)) / scale
+    hnn = h[np.ix_(nuisance, nuisance)] + 1e-10 * np.eye(nuisance.size)
+    factor = scipy.linalg.cho_factor(hnn)
+    parts: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    out: list[Score] = []
+    for group, members in groups.items():
+        at = [i for i, n in enumerate(names) if n in set(members)]
+        alive = np.array([i for i in at if 0 < value.hessian[i, i] < np.inf], dtype=int)
+        if not alive.size:
+            out.append(_unjudged(group, "the log has no sensitivity to it"))
+            continue
+        cross = h[np.ix_(alive, nuisance)]
+        solved = scipy.linalg.cho_solve(factor, cross.T)
+        v = h[np.ix_(alive, alive)] - cross @ solved
+        projected = block[:, alive] - block[:, nuisance] @ solved
+        offset = prior[alive] - prior[nuisance] @ solved
+        # Directions that the free parameters imitate carry no test.
+        whole = h[np.ix_(alive, alive)]
+        shares, directions = scipy.linalg.eigh(v, whole + 1e-12 * np.eye(alive.size))
+        keep = shares > COLLINEAR
+        if not keep.any():
+            out.append(_unjudged(group, "collinear with the free parameters", left=float(shares.max())))
+            continue
+        # In these directions V is diagonal with `shares`.
+        d = directions[:, keep]
+        parts[group] = (projected @ d, offset @ d, shares[keep])
+        estimate = -(d / shares[keep]) @ (d.T @ (projected.sum(axis=0) + offset))
+        spread = np.sqrt(np.maximum(np.diag((d / shares[keep]) @ d.T), 0.0))
+        out.append(
+            Score(
+                name=group,
+                statistic=0.0,
+                robust=0.0,
+                dof=int(keep.sum()),
+                p=1.0,
+                p_family=1.0,
+                estimate={_label(problem, i): float(e / scale[i]) for i, e in zip(alive, estimate, strict=True)},
+                std={_label(problem, i): float(s / scale[i]) for i, s in zip(alive, spread, strict=True)},
+                left=float(shares[keep].min()),
+                judged=True,
+            )
+        )
+    return _calibrated(out, parts, draws, seed)
+
+
+def _calibrated(
+    scores: list[Score],
+    parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]],
+    draws: int,
+    seed: int,
+) -> list[Score]:
+    """Fill in statistics and p values; the bootstrap multiplies block scores by independent normal numbers."""
+    rng = np.random.default_rng(seed)
+    count = max((len(p[0]) for p in parts.values()), default=0)
+    multipliers = rng.standard_normal((draws, count))
+    highest = np.zeros(draws)
+    levels: dict[str, tuple[float, float, float]] = {}
+    for name, (blocks, offset, shares) in parts.items():
+        total = blocks.sum(axis=0) + offset
+        centred = blocks - blocks.mean(axis=0)
+        metric = centred.T @ centred + 1e-12 * np.diag(shares)
+        # A candidate with more directions than blocks can support falls back on the Fisher metric.
+        if len(blocks) < 5 * shares.size:
+            metric = np.diag(shares)
+        inverse = np.linalg.inv(metric)
+        fisher, robust = float((total**2 / shares).sum()), float(total @ inverse @ total)
+        drawn = multipliers @ centred
+        statistic = np.einsum("bi,ij,bj->b", drawn, inverse, drawn)
+        logp = -scipy.stats.chi2.logsf(statistic, shares.size)
+        highest = np.maximum(highest, logp)
+        levels[name] = (fisher, robust, float(-scipy.stats.chi2.logsf(robust, shares.size)))
+    out = []
+    for s in scores:
+        if s.name not in levels:
+            out.append(s)
+            continue
+        fisher, robust, logp = levels[s.name]
+        family = float((1 + (highest >= logp).sum()) / (draws + 1))
+        out.append(
+            Score(
+                name=s.name,
+                statistic=fisher,
+                robust=robust,
+                dof=s.dof,
+                p=float(np.exp(-logp)),
+                p_family=family,
+                estimate=s.estimate,
+                std=s.std,
+                left=s.left,
+                judged=True,
+            )
+        )
+    return sorted(out, key=lambda s: (not s.judged, s.p, -s.robust))
+
+
+def _unjudged(name: str, reason: str, left: float = 0.0) -> Score:
+    return Score(
+        name=name, statistic=0.0, robust=0.0, dof=0, p=1.0, p_family=1.0, estimate={}, std={}, left=left, judged=False,
+        reason=reason,
+    )  # fmt: skip
+
+
+def _label(problem: Problem, i: int) -> str:
+    u = problem.unknowns[i]
+    return u.name if u.flight is None else f"{u.name} ({u.flight})"

@@ -1,0 +1,283 @@
+"""discover: the whole loop, from a vehicle file and flights to named effects, or an honest no.
+
+faults -> null fit -> screen -> add (loop, with a backward re-test) -> leftover -> gap before and after. The null model has
+white force and torque noise and no disturbance states: process noise that is correlated would hide what is missing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.stats
+
+from greybox.data import Dataset
+from greybox.data.checks import check
+from greybox.discovery.candidates import candidates
+from greybox.discovery.gap import GapRow, gap, squares
+from greybox.discovery.leftover import Promoted, promote
+from greybox.discovery.name import Addition, next_addition, still_needed
+from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.screen import Score
+from greybox.errors import GreyboxError
+from greybox.estimation.fit import Fit
+from greybox.estimation.record import sample_time
+from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.vehicle import Vehicle
+
+SCHEMA = "greybox.discovery/1"
+POWER = 0.9
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Discovery:
+    """What was found: `verdict` ("bad_data", "named", "ambiguous", "unnamed" or "nothing_missing"), the additions in
+    order, what is left, and how far the gap closed. `fit` is the last one on the model that holds only what was added."""
+
+    verdict: str
+    additions: tuple[Addition, ...]
+    fit: Fit | None
+    final: NestedFit | None
+    leftover: Promoted | None
+    before: Promoted | None
+    gap: tuple[GapRow, ...]
+    gap_on: str
+    unjudged: Mapping[str, str]
+    last_scores: tuple[Score, ...]
+    minimum_detectable: Mapping[str, Mapping[str, float]]
+    faults: tuple[str, ...]
+    warnings: tuple[str, ...]
+    omega_known: bool
+    seconds: float
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def model(self) -> IdentifiedModel:
+        """The improved model. Raises `GreyboxError` where bad data stopped the search."""
+        if self.fit is None:
+            raise GreyboxError("no model: the data have blocking faults", fix="mend the log, then run again")
+        return self.fit.model
+
+    @property
+    def named(self) -> tuple[Addition, ...]:
+        """Additions whose name is clear."""
+        return tuple(a for a in self.additions if not a.rivals)
+
+    def effects(self) -> list[dict[str, Any]]:
+        """Named effects with the estimates of the final fit."""
+        out = []
+        assert self.fit is not None
+        for step, a in enumerate(self.additions, 1):
+            if a.rivals:
+                continue
+            for name in a.effects:
+                own = {n.split(".", 1)[1]: e for n, e in self.fit.parameters.items() if n.split(".")[0] == name}
+                stage = next(e.stage for e in self.final_effects if e.name == name)
+                out.append(
+                    {
+                        "name": name,
+                        "stage": stage,
+                        "parameters": {
+                            n: {"value": e.value, "std": e.std if np.isfinite(e.std) else None, "unit": e.unit}
+                            for n, e in own.items()
+                        },
+                        "p_value": a.p_value,
+                        "delta_bic": a.delta_bic,
+                        "delta_bic_rival": a.delta_bic_rival,
+                        "alternatives": [n for n in a.rivals if n != name],
+                        "step": step,
+                    }
+                )
+        return out
+
+    @property
+    def final_effects(self) -> tuple[Effect, ...]:
+        """Effects of the improved model."""
+        return tuple(getattr(self.model.physics, "effects", ()))
+
+    def unnamed(self) -> list[dict[str, Any]]:
+        """Axes with a law that no catalogue effect explains."""
+        if self.leftover is None or not self.leftover.deficient:
+            return []
+        return [a.to_dict() for a in self.leftover.axes if a.lawful]
+
+    def to_dict(self) -> dict[str, Any]:
+        """discovery.json, schema "greybox.discovery/1"."""
+        locations = [] if self.before is None else [a.to_dict() for a in self.before.axes]
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "effects": [] if self.fit is None else self.effects(),
+            "omega_known": self.omega_known,
+            "ambiguous": [
+                {
+                    "candidates": [{"name": n, "weight": w} for n, w in a.rivals.items()],
+                    "separating_manoeuvre": None,
+                }
+                for a in self.additions
+                if a.rivals
+            ],
+            "unnamed": self.unnamed(),
+            "locations": locations,
+            "gap": [r.to_dict() for r in self.gap],
+            "gap_on": self.gap_on,
+            "minimum_detectable": {n: dict(v) for n, v in self.minimum_detectable.items()},
+            "not_judged": dict(self.unjudged),
+            "screened": [
+                {"name": s.name, "p_family": s.p_family, "statistic": s.robust, "dof": s.dof}
+                for s in self.last_scores
+                if s.judged
+            ],
+            "faults": list(self.faults),
+            "warnings": list(self.warnings),
+            "settings": dict(self.settings),
+            "seconds": self.seconds,
+            "versions": library_versions(),
+        }
+
+    def summary(self) -> str:
+        """The verdict in words."""
+        words = {
+            "bad_data": "the data have faults that block the search",
+            "named": "missing effects were found and named",
+            "ambiguous": "something is missing; these data cannot say which of several effects",
+            "unnamed": "something structured is missing that no effect of the catalogue explains",
+            "nothing_missing": "nothing is missing at the power of these data",
+        }
+        lines = [words[self.verdict], *(f"  fault: {f}" for f in self.faults)]
+        if self.fit is not None:
+            for e in self.effects():
+                numbers = ", ".join(
+                    f"{n} = {v['value']:.4g}" + (f" +- {v['std']:.2g}" if v["std"] else "") + f" {v['unit']}"
+                    for n, v in e["parameters"].items()
+                )
+                lines.append(f"  {e['name']}: {numbers} (p {e['p_value']:.2g}, BIC {e['delta_bic']:.0f} better)")
+        for a in self.additions:
+            if a.rivals:
+                lines.append("  one of " + ", ".join(f"{n} ({w:.0%})" for n, w in a.rivals.items()))
+        for u in self.unnamed():
+            lines.append(f"  unnamed: {u['proposal']} ({u['share']:.0%} of what is left there)")
+        for r in self.gap:
+            if r.closed is not None and r.horizon_s in (0.1, 0.5):
+                lines.append(
+                    f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit}"
+                    f" ({r.closed:.0%} of the gap closed)"
+                )
+        if self.unjudged:
+            lines += [f"  cannot be judged: {n} ({why})" for n, why in self.unjudged.items()]
+        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
+
+
+def discover(
+    vehicle: Vehicle,
+    train: Dataset,
+    test: Dataset | None = None,
+    *,
+    own: Iterable[Effect] = (),
+    alpha: float = 0.05,
+    max_effects: int = 8,
+    adapt: float | None = None,
+    kinematic_noise: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+    save: Callable[[NestedFit], None] | None = None,
+) -> Discovery:
+    """Find, name and add what the model of `vehicle` misses on the flights of `train`; judge on `test`.
+
+    alpha: family-wise level of a name. `own`: effects besides the catalogue. `adapt` [s]: per-flight parameters of test
+    flights are fitted on their first seconds. `save` gets every step, so that an interruption loses nothing. Raises
+    `DataError`, `ModelError`, `FitError`.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda _text, _share: None)
+    faults = check(train, vehicle)
+    blocking = tuple(f"{f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking")
+    offered = candidates(
+        vehicle, train.channels, own=own, sample_time=sample_time(train), noncausal=train.noncausal,
+        kinematic_noise=kinematic_noise,
+    )  # fmt: skip
+    settings = {"alpha": alpha, "seed": seed, "max_effects": max_effects, "adapt": adapt}
+    if blocking:
+        return Discovery(
+            verdict="bad_data", additions=(), fit=None, final=None, leftover=None, before=None, gap=(), gap_on="",
+            unjudged=offered.unjudged, last_scores=(), minimum_detectable={}, faults=blocking, warnings=(),
+            omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+        )  # fmt: skip
+    nest = Nest(candidates=offered, data=train)
+    say("fit without any addition", 0.05)
+    null = nest.refit(())
+    at, additions, warnings = null, list[Addition](), list[str]()
+    if not null.fit.converged:
+        warnings.append(f"the fit without any addition: {null.fit.status.advice}")
+    scores: list[Score] = []
+    for step in range(max_effects + 1):
+        say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
+        scores = nest.screen(at, seed=seed)
+        if step == max_effects:
+            if any(s.judged and s.p_family <= alpha for s in scores):
+                warnings.append(f"stopped at {max_effects} additions: more would pass the tests")
+            break
+        found = next_addition(nest, at, scores, alpha)
+        if found is None:
+            break
+        say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
+        additions.append(found)
+        at = found.after
+        if save is not None:
+            save(at)
+    for earlier in additions[:-1]:
+        for name in earlier.effects:
+            needed, gain = still_needed(nest, at, name)
+            if not needed:
+                warnings.append(f"{name} was added first and is not needed any more (BIC {gain:.1f}): removed")
+                at = nest.refit(tuple(e for e in at.effects if e != name), start=at)
+    additions = [a for a in additions if all(e in at.effects for e in a.effects)]
+    say("leftover", 0.75)
+    lean = nest.lean(at)
+    leftover = promote(lean, train, seed=seed)
+    before = promote(nest.lean(null), train, seed=seed) if additions else leftover
+    say("gap", 0.9)
+    judged = test if test is not None and test.flights else train
+    if judged is train:
+        warnings.append("the gap is judged on the training flights: give --test flights")
+    rows: tuple[GapRow, ...] = ()
+    try:
+        rows = tuple(
+            gap(squares(null.fit.model, judged, adapt=adapt), squares(at.fit.model, judged, adapt=adapt), seed=seed)
+        )
+    except GreyboxError as error:
+        warnings.append(f"no gap table: {error}")
+    unnamed = leftover.deficient and any(a.lawful for a in leftover.axes)
+    if any(not a.rivals for a in additions):
+        verdict = "named"
+    elif additions:
+        verdict = "ambiguous"
+    else:
+        verdict = "unnamed" if unnamed else "nothing_missing"
+    skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not s.judged}
+    return Discovery(
+        verdict=verdict, additions=tuple(additions), fit=lean, final=at, leftover=leftover, before=before, gap=rows,
+        gap_on="test" if judged is not train else "train", unjudged=skipped, last_scores=tuple(scores),
+        minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
+        omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+    )  # fmt: skip
+
+
+def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, float]]:
+    """Size of every parameter that would have been seen with probability `POWER` in a test of all candidates at once."""
+    judged = [s for s in scores if s.judged]
+    if not judged:
+        return {}
+    # Bonferroni bounds the family; one direction of the candidate at a time.
+    need = scipy.stats.norm.isf(alpha / (2 * len(judged))) + scipy.stats.norm.ppf(POWER)
+    # The robust statistic is smaller than Fisher's by the same factor as the information it uses.
+    out = {}
+    for s in judged:
+        loss = float(np.sqrt(max(s.statistic / s.robust, 1.0))) if s.robust > 0 and s.statistic > s.robust else 1.0
+        out[s.name] = {n: float(need * loss * v) for n, v in s.std.items() if np.isfinite(v)}
+    return out
