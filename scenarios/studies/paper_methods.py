@@ -30,7 +30,7 @@ from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.residual.narx import search_narx
 from greybox.symbolic import Layout, Signal
 from scenarios.plants.vehicle_file import write_vehicle
-from scenarios.studies.paper_data import COMMANDS, EULER, OUTPUTS, POSITION, TRAIN, VALIDATION, PaperData, plant
+from scenarios.studies.paper_data import COMMANDS, DT, EULER, OUTPUTS, POSITION, TRAIN, VALIDATION, PaperData, plant
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,9 @@ def _linear(
     train = Record(u=record.u[rows], y=record.y[rows], name="train")
     began = time.perf_counter()
     # One sample of delay keeps the command that the controller computed from y(t) out of the prediction of y(t).
-    found = fit_linear([train], "auto", inputs=inputs, outputs=outputs, delays=(1,) * len(inputs), largest=largest)
+    found = fit_linear(
+        [train], "auto", dt=DT, inputs=inputs, outputs=outputs, delays=(1,) * len(inputs), largest=largest
+    )
     seconds = time.perf_counter() - began
     mean = np.full((segment.n, len(outputs)), np.nan)
     began = time.perf_counter()
