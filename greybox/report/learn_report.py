@@ -231,8 +231,9 @@ def _training(report: Report, content: Mapping[str, Any]) -> None:
         return
     report.section("Marginal likelihood on the smoothed disturbances")
     report.paragraph(
-        "These processes give the starting kernels; their weights were then fitted again by multi-step errors. A gain above "
-        "zero means that the smoothed disturbances of held-out flights are predicted better than by a constant."
+        "These processes give the kernels; their weights were then fitted again by multi-step errors. Where a held-out gain "
+        "is stated, above zero means that the smoothed disturbances of held-out flights are predicted better than by a "
+        "constant."
     )
     with report.details(f"All outputs of all candidates ({len(body)})"):
         heads = ["candidate and output", "status", "signal std", "noise std", "held-out gain [nat]"]

@@ -39,6 +39,11 @@ class Discrepancy:
     y: FloatArray
     flights: tuple[str, ...]
 
+    def select(self, names: Sequence[str]) -> Discrepancy:
+        """The same rows with some of the features. Raises `UnknownNameError`."""
+        at = [self.inputs[n] for n in names]
+        return replace(self, inputs=Layout([self.inputs.signals[i] for i in at]), z=self.z[:, at])
+
 
 def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:
     """CasADi function (x, command window) -> features, for many samples."""

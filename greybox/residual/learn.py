@@ -23,7 +23,7 @@ from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.kernels import Kernel
+from greybox.residual.kernels import Kernel, split_name
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
@@ -33,6 +33,8 @@ from greybox.validation.calibration import Calibration, calibrate_horizons
 Progress = Callable[[str, float], None]
 BROAD = 3.0
 """Length-scale of the broad kernel in standard deviations of a feature; its linear part reaches twice as far."""
+SUBSET = 300
+"""Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from multi-step errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,22 +131,24 @@ def learn(
     say = progress or (lambda _text, _share: None)
     if isinstance(model.dynamics, HybridModel):
         raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
-    say("disturbance states", 0.0)
-    base = disturbed_model(model, train)
+    split_name(kernel)
     if features is not None:
-        there = available(base.dynamics)
+        there = available(model.dynamics)
         for n in features:
             if n not in there:
                 raise UnknownNameError("feature", n, there)
+    say("disturbance states", 0.0)
+    base = disturbed_model(model, train)
     sets = {"the given features": tuple(features)} if features is not None else feature_sets(base)
+    whole = discrepancy(base, train, tuple(dict.fromkeys(n for names in sets.values() for n in names)))
     found: dict[str, GPPosterior] = {}
     reports: list[Mapping[str, Any]] = []
     for i, (label, names) in enumerate(sets.items()):
         say(f"marginal likelihood: {label}", 0.1 + 0.3 * i / len(sets))
-        seen = discrepancy(base, train, names)
+        seen = whole.select(names)
         trained = train_gp(
             seen.z, seen.y, inputs=seen.inputs, outputs=seen.outputs, kernel=kernel, points=points, seed=seed,
-            groups=seen.flights, noise_inflation=1.0,
+            groups=seen.flights, noise_inflation=1.0, hold_out=0.25 if points == "auto" else 0.0, subset=SUBSET,
         )  # fmt: skip
         reports.append({"candidate": label, **trained.report.to_dict()})
         size = trained.posterior.points if points == "auto" else int(points)

@@ -357,7 +357,7 @@ def _iterate(
         if not new < value:
             status = "converged"
             break
-        small = value - new < 5e-3 * (before - new)
+        small = value - new < 2e-2 * (before - new)
         theta, value = moved, new
         say(f"step {done}: cost {value:.6g}", done / iterations)
         if small or float(-step[on] @ g) < 1e-5 * before:
