@@ -43,6 +43,18 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    model_options(p)
+    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
+    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--seed", type=int, default=0, help="seed of random starts")
+    p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def model_options(p: Any) -> None:
+    """Declare what says how the model is built and fitted; `fit_with` takes it."""
     p.add_argument("--effects", type=names, default=(), metavar="a,b", help="effects besides those in the vehicle file")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
                    help="add the effects of these Python files, which are run (only what you trust)")  # fmt: skip
@@ -70,14 +82,43 @@ def add(subparsers: Any) -> None:
                    help="hold the sensors' or all noise levels at their start")  # fmt: skip
     p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
     p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
-    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
-    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
-    p.add_argument("--seed", type=int, default=0, help="seed of random starts")
-    p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
-    p.set_defaults(run=run)
+
+
+def fit_with(arguments: argparse.Namespace, vehicle: Any, train: Any, progress: Any = None) -> Any:
+    """Build the model that the options ask for and fit it to the flights of `train`. Returns a `Fit`."""
+    from greybox.estimation.fit import fit
+    from greybox.estimation.record import sample_time
+    from greybox.model.effects_file import load_effects
+    from greybox.model.model import build_model
+
+    model = build_model(
+        vehicle,
+        train.channels,
+        (*arguments.effects, *(e for path in arguments.effects_file for e in load_effects(path))),
+        input=arguments.input,
+        sample_time=sample_time(train),
+        noncausal=train.noncausal,
+        kinematic_noise=arguments.kinematic_noise,
+    )
+    return fit(
+        model,
+        train,
+        predictor=arguments.predictor,
+        criterion=arguments.criterion,
+        solver=_solver(arguments.solver, arguments.max_iterations),
+        initialisation=arguments.init,
+        disturbance=arguments.disturbance,
+        free=arguments.free,
+        fixed=arguments.fixed,
+        per_flight=arguments.per_flight,
+        shared=arguments.shared,
+        values=arguments.value,
+        noise=arguments.noise,
+        estimate_noise="process" if arguments.hold_noise == "sensor" else arguments.hold_noise == "none",
+        seed=arguments.seed,
+        progress=progress,
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -86,11 +127,8 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.checks import check
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
-    from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
-    from greybox.model.effects_file import load_effects
-    from greybox.model.model import build_model
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
     from greybox.validation.validate import validate
@@ -114,38 +152,12 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
-    model = build_model(
-        vehicle,
-        train.channels,
-        (*arguments.effects, *(e for path in arguments.effects_file for e in load_effects(path))),
-        input=arguments.input,
-        sample_time=sample_time(train),
-        noncausal=train.noncausal,
-        kinematic_noise=arguments.kinematic_noise,
-    )
-    say(f"{train}; model: {model.name}")
+    say(f"{train}")
 
     def progress(iteration: int, cost: float, decrement: float) -> None:
         say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
 
-    result = fit(
-        model,
-        train,
-        predictor=arguments.predictor,
-        criterion=arguments.criterion,
-        solver=_solver(arguments.solver, arguments.max_iterations),
-        initialisation=arguments.init,
-        disturbance=arguments.disturbance,
-        free=arguments.free,
-        fixed=arguments.fixed,
-        per_flight=arguments.per_flight,
-        shared=arguments.shared,
-        values=arguments.value,
-        noise=arguments.noise,
-        estimate_noise="process" if arguments.hold_noise == "sensor" else arguments.hold_noise == "none",
-        seed=arguments.seed,
-        progress=progress,
-    )
+    result = fit_with(arguments, vehicle, train, progress)
     content = result.to_dict()
     content["warnings"] = [*warnings, *content["warnings"]]
     content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["fit"] else "greybox fit"

@@ -51,7 +51,7 @@ ANGLES = ("phi", "theta", "psi")
 QUATERNION = ("qw", "qx", "qy", "qz")
 CHUNK = 2000
 """Origins that are rolled out at once (bounds the memory)."""
-_LATE = re.compile(r"(?P<name>.+)\[t(?P<lag>-1)?\]")
+_LATE = re.compile(r"(?P<name>.+)\[t(-(?P<lag>[1-9]\d*))?\]")
 
 
 def combined(models: Sequence[LinearModel], channels: Mapping[str, Terms]) -> tuple[LinearModel, dict[str, Terms]]:
@@ -192,10 +192,11 @@ class BasePredictor:
             raise DataError("an input column has no values", where=f"flight {segment.flight}")
         record = Record(u=u, y=segment.matrix(model.outputs.names), name=segment.flight)
         x0, offset, blind = np.zeros(model.order), model.output_offset, 0
-        if self.adapt is not None:
-            found = adapt(model, record, self.adapt)
-            x0, offset, blind = found.x0, found.offset, found.samples
         cut = max(model.delays, default=0)
+        if self.adapt is not None:
+            # The record begins where its delayed commands are known, and ends with the seconds to adapt on.
+            found = adapt(model, record, self.adapt - cut * model.dt)
+            x0, offset, blind = found.x0, found.offset, found.samples
         moved = delayed(record, model.delays)
         moved = Record(u=moved.u - model.input_offset, y=moved.y - offset, name=record.name)
         x = predict(model.matrices, moved, x0, np.zeros(len(offset)), model.noise).x
@@ -240,8 +241,11 @@ class BasePredictor:
     # ------------------------------------------------------------------------------------------------- features
 
     def feature_layout(self, names: Sequence[str]) -> Layout:
-        """Units of features: `NAME[t-1]` a log column or phi, theta, psi one sample before, `NAME[t]` a command at t,
-        anything else a predicted output or a signal of the predicted state. Raises `UnknownNameError`, `ModelError`."""
+        """Units of features: `NAME[t-1]`, `NAME[t-2]`, ... a log column or phi, theta, psi so many samples before, `NAME[t]`
+        a command at t, anything else a predicted output or a signal of the predicted state.
+
+        Raises `UnknownNameError`, and `ModelError` for a measurement of time t.
+        """
         return Layout([Signal(name=n, unit=self._unit(n)) for n in names])
 
     def _unit(self, name: str) -> str:
@@ -266,7 +270,8 @@ class BasePredictor:
         return outputs | {n: u for n, u in there.items() if n not in self.dynamics.inputs.names}
 
     def given(self, segment: Segment, names: Sequence[str]) -> FloatArray:
-        """The features (n, n_given) of the kinds `NAME[t-1]` and `NAME[t]` in their order, NaN where not measured."""
+        """The features (n, n_given) that name a sample (`NAME[t-1]`, `NAME[t]`) in their order, the last value where one is
+        missing."""
         out = []
         for name in names:
             late = _LATE.fullmatch(name)
@@ -274,12 +279,11 @@ class BasePredictor:
                 continue
             column = late["name"]
             if column in ANGLES and column not in segment.channels:
-                value = _angles(segment)[:, ANGLES.index(column)]
+                value = numeric("euler", hold_missing(segment.matrix(QUATERNION))[0])[:, ANGLES.index(column)]
             else:
-                value = segment.column(column)
-            if column in self.commands:
-                value = hold_missing(value[:, None])[0][:, 0]
-            out.append(value if late["lag"] is None else np.concatenate([[np.nan], value[:-1]]))
+                value = hold_missing(segment.column(column)[:, None])[0][:, 0]
+            lag = min(int(late["lag"] or 0), segment.n)
+            out.append(np.concatenate([np.full(lag, np.nan), value[: segment.n - lag]]))
         return np.column_stack(out) if out else np.zeros((segment.n, 0))
 
     def features(self, segment: Segment, run: Run, names: Sequence[str]) -> FloatArray:
@@ -353,12 +357,12 @@ class BasePredictor:
         following = plus(following, self.gain[0][:, self.rows] @ push)
         mean = mean + push
         away = minus(following, reference)
-        inner = ca.Function(
-            "inner", [error, reference, *arguments],
+        around = ca.Function(
+            "around", [error, reference, *arguments],
             [mean, spread, following, ca.jacobian(mean, error), ca.jacobian(away, error)],
         )  # fmt: skip
-        at = inner(still, state, *arguments)[2]
-        out = inner(still, at, *arguments)
+        at = around(still, state, *arguments)[2]
+        out = around(still, at, *arguments)
         return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
 
     # ----------------------------------------------------------------------------------------------- many steps
@@ -424,14 +428,6 @@ class BasePredictor:
             white = a @ white @ a.swapaxes(1, 2) + fresh
             learned = a @ learned + gain[:, rows] * sd[:, None, :]
         return mean, variance
-
-
-def _angles(segment: Segment) -> FloatArray:
-    q = segment.matrix(QUATERNION)
-    out = np.full((segment.n, 3), np.nan)
-    seen = np.isfinite(q).all(axis=1)
-    out[seen] = numeric("euler", q[seen])
-    return out
 
 
 def _blocks(a: FloatArray, b: FloatArray, c: FloatArray) -> list[tuple[list[int], list[int], list[int]]]:

@@ -178,7 +178,7 @@ def residual_rows(
         run = base.run(segment)
         rows = base.features(segment, run, names)
         errors = segment.matrix(base.outputs) - run.mean
-        whole = np.isfinite(rows).all(axis=1) & np.isfinite(errors).all(axis=1)
+        whole = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(errors).all(axis=1))
         if isinstance(base.model, LinearModel) and base.adapt is None:
             whole[: min(round(RUN_IN / segment.dt), segment.n // 3)] = False
         z.append(rows[whole])

@@ -49,6 +49,8 @@ def validate(
     horizons: Sequence[int] = (1, 10, 50),
     adapt: float | None = None,
     measured_start: bool = False,
+    every: int = 1,
+    skip: float = START,
     progress: Progress | None = None,
     use_compiler: bool = True,
 ) -> Validation:
@@ -57,9 +59,10 @@ def validate(
     `horizons` are numbers of samples. `adapt` [s]: per flight, the parameters with a value per flight and the initial
     state are fitted on its first seconds with everything else fixed (prior: the training flights), then frozen; origins
     start after them, and dead reckoning takes its IMU biases from the same seconds. `measured_start` adds the row that
-    starts from the measured state, smoothed velocities included, as the benchmark does. `progress` gets a line per
-    flight. Raises `DataError` (no usable flight, another sample time), `ModelError` (a smoothed channel is a
-    measurement of the filter), `FitError`.
+    starts from the measured state, smoothed velocities included, as the benchmark does. Origins are every `every`-th
+    sample, `skip` seconds after the start of a segment at the earliest. `progress` gets a line per flight. Raises
+    `DataError` (no usable flight, another sample time), `ModelError` (a smoothed channel is a measurement of the filter),
+    `FitError`.
     """
     wanted = tuple(sorted({int(h) for h in horizons}))
     if not wanted or wanted[0] < 1:
@@ -68,8 +71,9 @@ def validate(
         raise DataError("no flight to validate on")
     _demand_causal(model, dataset)
     work = _Work(
-        model=model, dataset=dataset, wanted=wanted, adapt=adapt, measured=measured_start, use_compiler=use_compiler
-    )
+        model=model, dataset=dataset, wanted=wanted, adapt=adapt, measured=measured_start, every=every, skip=skip,
+        use_compiler=use_compiler,
+    )  # fmt: skip
     for flight in dataset:
         if progress:
             progress(f"validate: {flight.name}")
@@ -95,6 +99,8 @@ class _Work:
     wanted: tuple[int, ...]
     adapt: float | None
     measured: bool
+    every: int
+    skip: float
     use_compiler: bool
     warnings: list[str] = field(default_factory=list)
     flights: list[dict[str, object]] = field(default_factory=list)
@@ -138,7 +144,7 @@ class _Work:
             x0 = adapted.x0 if adapted is not None and i == 0 else None
             filtered = self.filter.run(_without(segment, flight.noncausal), p=p, x0=x0)
             late = segment.t >= after - 1e-9
-            late[: max(3, round(START / segment.dt)) - 1] = False
+            late[: max(3, round(self.skip / segment.dt)) - 1] = False
             self.one_step.add(flight.name, filtered, late)
             self._roll_out(flight.name, segment, filtered, late, bias, {} if adapted is None else adapted.std)
         self.flights.append(
@@ -180,7 +186,7 @@ class _Work:
         self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]
     ) -> None:  # fmt: skip
         origins = np.flatnonzero(late)
-        origins = origins[origins < segment.n - REQUIRED]
+        origins = origins[origins < segment.n - REQUIRED][:: self.every]
         references = {g: _matrix(segment, g) for g in self.groups}
         references = {g: r for g, r in references.items() if np.isfinite(r).all(axis=1).any()}
         if not references:
@@ -246,7 +252,7 @@ class _Work:
         self, propagator: Propagator, filtered: Filtered, origins: IntArray, predicted: Mapping[str, FloatArray]
     ) -> dict[str, FloatArray]:
         """Covariances of the errors ahead of every so many origins, NaN for the others."""
-        chosen = np.arange(0, len(origins), max(1, round(STATED / self.model.sample_time)))
+        chosen = np.arange(0, len(origins), max(1, round(STATED / self.model.sample_time / self.every)))
         try:
             some = stated_covariances(propagator, filtered, origins[chosen], steps=self.steps, groups=predicted)
         except FitError as error:

@@ -1,0 +1,105 @@
+"""`greybox compare`: all methods on the same flights, as one table (compare.json, report.html)."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from greybox.commands.fit import model_options, names
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "compare",
+        help="compare linear, nonlinear, black-box and hybrid models on the same flights",
+        description="Train every method on the same flights and judge them on the same samples of others: linear and "
+        "nonlinear PEM, their hybrids with a Gaussian process, a GP alone, an LSTM. Options of `greybox fit` say how the "
+        "nonlinear model is built. Writes compare.json after every method, and report.html. Exit code 0: done, 1: a "
+        "method failed (its row says why), 2: bad input.",
+    )
+    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
+    p.add_argument("--test", required=True, nargs="+", metavar="LOG", help="flights that only the judgement sees")
+    p.add_argument(
+        "--adapt", type=float, default=None, metavar="S", help="fit what belongs to a flight on its first S seconds"
+    )
+    p.add_argument(
+        "--budget", type=int, default=4, metavar="N", help="candidates of every method with choices (default 4)"
+    )
+    p.add_argument("--points", type=int, default=50, metavar="M", help="support points of the force and torque GP")
+    p.add_argument("--methods", type=names, default=None, metavar="a,b", help="only these methods, by name")
+    p.add_argument(
+        "--horizons", default="1,10,50", metavar="1,10,50", help="horizons of the multi-step table in samples"
+    )
+    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
+    p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write compare.json to F ('-': standard output)")
+    model_options(p.add_argument_group("the nonlinear model, as in greybox fit"))
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, run the methods one by one, report."""
+    from greybox.commands.fit import fit_with
+    from greybox.commands.validate import parse_horizons
+    from greybox.data.logs import read_logs
+    from greybox.errors import GreyboxError
+    from greybox.estimation.record import sample_time
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.vehicle import read_vehicle
+    from greybox.report.compare_report import compare_report, format_table
+    from greybox.residual.compare import compare
+    from greybox.residual.compare_bench import Bench
+
+    quiet = arguments.json == "-"
+    horizons = parse_horizons(arguments.horizons)
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    if arguments.budget < 1:
+        raise GreyboxError("--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4")
+    vehicle = read_vehicle(arguments.vehicle)
+    train = read_logs(arguments.train, vehicle, rate=arguments.rate)
+    test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train))
+    both = sorted(set(train.names) & set(test.names))
+    if both:
+        raise GreyboxError(
+            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+        )
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(f"  {text}", file=sys.stderr, flush=True)
+
+    def progress(iteration: int, cost: float, _decrement: float) -> None:
+        say(f"nonlinear PEM: iteration {iteration}, cost {cost:.4f}")
+
+    bench = Bench(
+        vehicle=vehicle, train=train, test=test, fit=lambda: fit_with(arguments, vehicle, train, progress),
+        adapt=arguments.adapt, budget=arguments.budget, seed=arguments.seed, points=arguments.points, horizons=horizons,
+        say=say,
+    )  # fmt: skip
+    out = Path(arguments.out)
+    command = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["compare"] else "greybox compare"
+    content: dict[str, Any] = {}
+    for partial in compare(bench, arguments.methods):
+        # What is done stays done, whatever happens to the next method.
+        content = {**partial, "command": command}
+        write_json(out / "compare.json", content)
+        write_atomic(out / "report.html", compare_report(content))
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        print(format_table(content))
+        print(f"wrote compare.json and report.html in {out}")
+    failed = [m["method"] for m in content["methods"] if m["status"] != "done"]
+    for m in content["methods"]:
+        if m["status"] != "done":
+            print(f"greybox compare: {m['method']}: {m['error']}", file=sys.stderr)
+    return 1 if failed else 0

@@ -1,0 +1,77 @@
+"""Scores of one-step predictions over flights: per channel, and as means over channels that may be averaged.
+
+A mean over rad/s and m/s^2 says nothing: means are over channels in units of their standard deviation on the training
+flights. NLPD and CRPS scale accordingly (a density has the unit of one over the channel).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import DataError, GreyboxError
+from greybox.estimation.linear.spectrum import spectral_error
+from greybox.symbolic import FloatArray
+from greybox.validation.cross_correlation import cross_correlation
+from greybox.validation.metrics import r_squared
+from greybox.validation.predictive import score
+from greybox.validation.whiteness import whiteness
+
+MEANS = ("mse", "r2", "spectral_error", "nlpd", "crps", "coverage50", "coverage68", "coverage95")
+"""What `one_step_scores` gives as means over channels."""
+
+
+def one_step_scores(
+    measured: Sequence[FloatArray],
+    mean: Sequence[FloatArray],
+    variance: Sequence[FloatArray],
+    inputs: Sequence[FloatArray],
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    spread: FloatArray,
+    dt: float,
+) -> dict[str, Any]:
+    """Scores over stretches: arrays (N_i, n_c) each, NaN in `measured` = missing; `inputs` (N_i, n_u); `spread` (n_c,).
+
+    `channels`: name -> mse, r2, spectral_error (share of the signal's power at 0.1-20 Hz that is left), nlpd, crps,
+    sharpness, coverage50/68/95, pit, whiteness (share of lags 1-30 outside the white band), input_correlation (the largest
+    such share over the inputs, positive lags). `mean`: means of standardised channels. Raises `DataError` where a
+    measured sample has no prediction.
+    """
+    errors = [y - m for y, m in zip(measured, mean, strict=True)]
+    left = spectral_error(errors, list(measured), dt).share
+    white, cross = _correlations(errors, inputs, names)
+    channels: dict[str, Any] = {}
+    for i, name in enumerate(names):
+        y, m, v = (np.concatenate([a[:, i] for a in parts]) for parts in (measured, mean, variance))
+        seen = np.isfinite(y)
+        lost = int((seen & ~np.isfinite(m)).sum())
+        if lost:
+            raise DataError(f"{name}: {lost} of {int(seen.sum())} measured samples have no prediction")
+        channels[name] = {
+            "unit": units[i], **score(y, m, v).to_dict(), "r2": r_squared(y[seen], m[seen]),
+            "spectral_error": float(left[i]), "whiteness": white.get(name), "input_correlation": cross.get(name),
+        }  # fmt: skip
+    scale = dict(zip(names, spread, strict=True))
+    pooled = {key: float(np.mean([c[key] for c in channels.values()])) for key in MEANS}
+    pooled["mse"] = float(np.mean([c["mse"] / scale[n] ** 2 for n, c in channels.items()]))
+    pooled["crps"] = float(np.mean([c["crps"] / scale[n] for n, c in channels.items()]))
+    pooled["nlpd"] = float(np.mean([c["nlpd"] - np.log(scale[n]) for n, c in channels.items()]))
+    return {"channels": channels, "mean": pooled}
+
+
+def _correlations(
+    errors: Sequence[FloatArray], inputs: Sequence[FloatArray], names: Sequence[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    white: dict[str, float] = {}
+    cross: dict[str, float] = {}
+    try:
+        white = {c.name: c.outside for c in whiteness(errors, names=names).channels}
+        pairs = cross_correlation(errors, inputs, names=names).pairs
+        cross = {n: max(p.outside for p in pairs if p.innovation == n) for n in {p.innovation for p in pairs}}
+    except GreyboxError:
+        pass  # too short for a test: the scores stand without it
+    return white, cross
