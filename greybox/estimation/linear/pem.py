@@ -31,11 +31,9 @@ from greybox.symbolic import FloatArray
 
 FIRST_DAMPING = 1e-3
 """Of a Hessian scaled to unit information."""
-FLAT_GAIN = 0.5
-"""Gain of a step, in -2 log likelihood, below which the iteration ends as `Status.FLAT` where the Hessian has negative
-curvature: half of what one parameter without meaning gains on average. At most 50 times the tolerance."""
-SLOW_GAIN = 0.05
-"""Gain of three steps together below which it ends so at any curvature; at most 5 times the tolerance."""
+FLAT_GAIN = 0.05
+"""Gain of three steps together, in -2 log likelihood, below which the iteration ends as `Status.FLAT`; at most 5 times the
+tolerance. Much more would stop on plateaus behind which states of real flights were found."""
 
 
 class Status(Enum):
@@ -276,10 +274,7 @@ def minimise(
         if decrement < tolerance and model.convex:
             status = Status.CONVERGED
             break
-        if gains and (
-            (gains[-1] < min(FLAT_GAIN, 50 * tolerance) and not model.convex)
-            or (len(gains) >= 3 and sum(gains[-3:]) < min(SLOW_GAIN, 5 * tolerance))
-        ):
+        if len(gains) >= 3 and sum(gains[-3:]) < min(FLAT_GAIN, 5 * tolerance):
             status = Status.FLAT
             break
         if iteration >= settings.max_iterations:
