@@ -42,15 +42,18 @@ def one_step_scores(
     measured sample has no prediction.
     """
     errors = [y - m for y, m in zip(measured, mean, strict=True)]
+    for i, name in enumerate(names):
+        lost = sum(
+            int((np.isfinite(y[:, i]) & ~np.isfinite(m[:, i])).sum()) for y, m in zip(measured, mean, strict=True)
+        )
+        if lost:
+            raise DataError(f"{name}: {lost} measured samples have no prediction")
     left = spectral_error(errors, list(measured), dt).share
     white, cross = _correlations(errors, inputs, names)
     channels: dict[str, Any] = {}
     for i, name in enumerate(names):
         y, m, v = (np.concatenate([a[:, i] for a in parts]) for parts in (measured, mean, variance))
         seen = np.isfinite(y)
-        lost = int((seen & ~np.isfinite(m)).sum())
-        if lost:
-            raise DataError(f"{name}: {lost} of {int(seen.sum())} measured samples have no prediction")
         channels[name] = {
             "unit": units[i], **score(y, m, v).to_dict(), "r2": r_squared(y[seen], m[seen]),
             "spectral_error": float(left[i]), "whiteness": white.get(name), "input_correlation": cross.get(name),
