@@ -30,6 +30,7 @@ _PUBLIC = {
     "load_model": "greybox.residual.files",
     "save_model": "greybox.residual.files",
     "learn": "greybox.residual.learn",
+    "discover": "greybox.discovery.workflow",
     "fit": "greybox.estimation.fit",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
@@ -54,6 +55,7 @@ __all__ = [
     "build_model",
     "check",
     "dataset_from_arrays",
+    "discover",
     "fit",
     "fit_report",
     "learn",
@@ -70,6 +72,7 @@ if TYPE_CHECKING:
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.logs import read_log, read_logs
+    from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import Fit, fit
     from greybox.model.dynamics import StateSpaceModel

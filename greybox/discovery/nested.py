@@ -77,7 +77,7 @@ class Nest:
         )  # fmt: skip
         return NestedFit(effects=chosen, fit=result, parameters=len(free))
 
-    def screen(self, at: NestedFit, *, draws: int = 999, seed: int = 0) -> list[Score]:
+    def screen(self, at: NestedFit, *, alpha: float = 0.05, draws: int = 999, seed: int = 0) -> list[Score]:
         """Score tests of every candidate that is not in `at`."""
         names = {n: p for n, p in self.candidates.parameters.items() if n not in at.effects}
         estimates = {n: e.value for n, e in at.fit.parameters.items()}
@@ -90,7 +90,7 @@ class Nest:
             [found.get((u.name, u.flight), self.candidates.null.get(u.name, u.start)) for u in problem.unknowns]
         )
         block = max(1, round(BLOCK_SECONDS / problem.dt))
-        return screen(problem, problem.evaluate(theta, scores=block), names, draws=draws, seed=seed)
+        return screen(problem, problem.evaluate(theta, scores=block), names, alpha=alpha, draws=draws, seed=seed)
 
     def lean(self, at: NestedFit) -> Fit:
         """The same estimates on the model that holds only the effects that were named (what is saved and flown)."""

@@ -30,9 +30,10 @@ COLLINEAR = 0.02
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Score:
     """Test of one candidate. `statistic` is chi^2 with `dof` degrees of freedom in the Fisher metric, `robust` the same
-    in the metric of the block scores; `p` for this test alone (robust), `p_family` for the largest of all. `estimate` and
-    `std` are the one-step estimates by parameter. `left` is the smallest share of information that the free parameters
-    leave to a direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
+    in the metric of the block scores; `p` for this test alone (robust), `p_family` for the largest of all, `limit` the `p`
+    below which the largest of all passes at the level that `screen` was given. `estimate` and `std` are the one-step
+    estimates by parameter. `left` is the smallest share of information that the free parameters leave to a direction of
+    the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
 
     name: str
     statistic: float
@@ -45,6 +46,7 @@ class Score:
     left: float
     judged: bool
     reason: str = ""
+    limit: float = 0.0
 
 
 def screen(
@@ -52,10 +54,11 @@ def screen(
     value: Value,
     groups: Mapping[str, Sequence[str]],
     *,
+    alpha: float = 0.05,
     draws: int = 999,
     seed: int = 0,
 ) -> list[Score]:
-    """Score tests of `groups` (candidate -> parameter names), best first.
+    """Score tests of `groups` (candidate -> parameter names), best first; `alpha` sets their `limit`.
 
     `problem` has all of their parameters free, and `value` is its evaluation at the smaller model's estimate with block
     scores; every unknown that is in no group is a nuisance. Deterministic for a seed.
@@ -111,12 +114,13 @@ def screen(
                 judged=True,
             )
         )
-    return _calibrated(out, parts, draws, seed)
+    return _calibrated(out, parts, alpha, draws, seed)
 
 
 def _calibrated(
     scores: list[Score],
     parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]],
+    alpha: float,
     draws: int,
     seed: int,
 ) -> list[Score]:
@@ -140,6 +144,7 @@ def _calibrated(
         logp = -scipy.stats.chi2.logsf(statistic, shares.size)
         highest = np.maximum(highest, logp)
         levels[name] = (fisher, robust, float(-scipy.stats.chi2.logsf(robust, shares.size)))
+    limit = float(np.exp(-np.quantile(highest, 1 - alpha))) if levels else 0.0
     out = []
     for s in scores:
         if s.name not in levels:
@@ -159,6 +164,7 @@ def _calibrated(
                 std=s.std,
                 left=s.left,
                 judged=True,
+                limit=limit,
             )
         )
     return sorted(out, key=lambda s: (not s.judged, s.p, -s.robust))

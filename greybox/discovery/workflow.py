@@ -15,13 +15,14 @@ import numpy as np
 import scipy.stats
 
 from greybox.data import Dataset
-from greybox.data.checks import check
+from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import GapRow, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, still_needed
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
+from greybox.discovery.spectrum import Spectrum, spectrum
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
@@ -40,21 +41,23 @@ class Discovery:
     order, what is left, and how far the gap closed. `fit` is the last one on the model that holds only what was added."""
 
     verdict: str
-    additions: tuple[Addition, ...]
-    fit: Fit | None
-    final: NestedFit | None
-    leftover: Promoted | None
-    before: Promoted | None
-    gap: tuple[GapRow, ...]
-    gap_on: str
-    unjudged: Mapping[str, str]
-    last_scores: tuple[Score, ...]
-    minimum_detectable: Mapping[str, Mapping[str, float]]
-    faults: tuple[str, ...]
-    warnings: tuple[str, ...]
+    additions: tuple[Addition, ...] = ()
+    fit: Fit | None = None
+    final: NestedFit | None = None
+    leftover: Promoted | None = None
+    before: Promoted | None = None
+    gap: tuple[GapRow, ...] = ()
+    gap_on: str = ""
+    unjudged: Mapping[str, str] = field(default_factory=dict)
+    last_scores: tuple[Score, ...] = ()
+    minimum_detectable: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     omega_known: bool
     seconds: float
     settings: Mapping[str, Any] = field(default_factory=dict)
+    spectrum: Spectrum | None = None
+    tested_on: tuple[str, ...] = ()
 
     @property
     def model(self) -> IdentifiedModel:
@@ -106,9 +109,32 @@ class Discovery:
             return []
         return [a.to_dict() for a in self.leftover.axes if a.lawful]
 
+    def locations(self) -> list[dict[str, Any]]:
+        """Axes of force and torque: RMS of the smoothed discrepancy before and after, and what it follows before."""
+        if self.before is None:
+            return []
+        after = {} if self.leftover is None else {a.channel: a.rms for a in self.leftover.axes}
+        return [a.to_dict() | {"rms_after": after.get(a.channel)} for a in self.before.axes]
+
+    def steps(self) -> list[dict[str, Any]]:
+        """Every screening with what was added after it; the last one, where nothing was, included."""
+        screenings = [(a.effects, a.delta_bic, a.rivals, a.scores) for a in self.additions]
+        if self.last_scores:
+            screenings.append(((), 0.0, {}, self.last_scores))
+        return [
+            {
+                "step": k, "added": list(added), "delta_bic": gain if added else None, "rivals": dict(rivals),
+                "p_limit": next((s.limit for s in scores if s.judged), None),
+                "scores": [
+                    {"name": s.name, "statistic": s.robust, "dof": s.dof, "p": s.p, "p_family": s.p_family}
+                    for s in scores if s.judged
+                ],
+            }
+            for k, (added, gain, rivals, scores) in enumerate(screenings, 1)
+        ]  # fmt: skip
+
     def to_dict(self) -> dict[str, Any]:
         """discovery.json, schema "greybox.discovery/1"."""
-        locations = [] if self.before is None else [a.to_dict() for a in self.before.axes]
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -123,19 +149,23 @@ class Discovery:
                 if a.rivals
             ],
             "unnamed": self.unnamed(),
-            "locations": locations,
+            "locations": self.locations(),
+            "deficiency": {
+                "before": None if self.before is None else self.before.gain,
+                "after": None if self.leftover is None else self.leftover.gain,
+            },
+            "spectrum": None if self.spectrum is None else self.spectrum.to_dict(),
+            "steps": self.steps(),
             "gap": [r.to_dict() for r in self.gap],
             "gap_on": self.gap_on,
             "minimum_detectable": {n: dict(v) for n, v in self.minimum_detectable.items()},
             "not_judged": dict(self.unjudged),
-            "screened": [
-                {"name": s.name, "p_family": s.p_family, "statistic": s.robust, "dof": s.dof}
-                for s in self.last_scores
-                if s.judged
-            ],
             "faults": list(self.faults),
             "warnings": list(self.warnings),
             "settings": dict(self.settings),
+            "trained_on": [] if self.fit is None else list(self.fit.model.trained_on),
+            "tested_on": list(self.tested_on),
+            "data_hash": None if self.fit is None else self.fit.data_hash,
             "seconds": self.seconds,
             "versions": library_versions(),
         }
@@ -184,40 +214,52 @@ def discover(
     adapt: float | None = None,
     kinematic_noise: bool = False,
     seed: int = 0,
+    faults: CheckReport | None = None,
     progress: Progress | None = None,
-    save: Callable[[NestedFit], None] | None = None,
+    save: Callable[[Discovery], None] | None = None,
 ) -> Discovery:
     """Find, name and add what the model of `vehicle` misses on the flights of `train`; judge on `test`.
 
     alpha: family-wise level of a name. `own`: effects besides the catalogue. `adapt` [s]: per-flight parameters of test
-    flights are fitted on their first seconds. `save` gets every step, so that an interruption loses nothing. Raises
-    `DataError`, `ModelError`, `FitError`.
+    flights are fitted on their first seconds. `faults`: what `check_logs` said about the files (by default the data sets
+    are checked, which no longer show faults of their clock). `save` gets what is known after every step, so that an
+    interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
-    faults = check(train, vehicle)
-    blocking = tuple(f"{f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking")
+    settings: dict[str, Any] = {"alpha": alpha, "seed": seed, "max_effects": max_effects, "adapt": adapt}
+    judged = test if test is not None and test.flights else train
+    if faults is None:
+        faults = check(train if judged is train else train + judged, vehicle)
+    if not faults.ok:
+        return refused(faults, vehicle, settings=settings, seconds=time.perf_counter() - began)
     offered = candidates(
         vehicle, train.channels, own=own, sample_time=sample_time(train), noncausal=train.noncausal,
         kinematic_noise=kinematic_noise,
     )  # fmt: skip
-    settings = {"alpha": alpha, "seed": seed, "max_effects": max_effects, "adapt": adapt}
-    if blocking:
-        return Discovery(
-            verdict="bad_data", additions=(), fit=None, final=None, leftover=None, before=None, gap=(), gap_on="",
-            unjudged=offered.unjudged, last_scores=(), minimum_detectable={}, faults=blocking, warnings=(),
-            omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
-        )  # fmt: skip
+    settings["sample_time"] = offered.model.sample_time
     nest = Nest(candidates=offered, data=train)
+
+    def interim(now: NestedFit, found: Iterable[Addition]) -> None:
+        if save is not None:
+            save(
+                Discovery(
+                    verdict=_verdict(found, None), additions=tuple(found), fit=now.fit, final=now,
+                    unjudged=offered.unjudged, warnings=("the search was stopped before its end",),
+                    omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+                )
+            )  # fmt: skip
+
     say("fit without any addition", 0.05)
     null = nest.refit(())
     at, additions, warnings = null, list[Addition](), list[str]()
     if not null.fit.converged:
         warnings.append(f"the fit without any addition: {null.fit.status.advice}")
     scores: list[Score] = []
+    interim(at, additions)
     for step in range(max_effects + 1):
         say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
-        scores = nest.screen(at, seed=seed)
+        scores = nest.screen(at, alpha=alpha, seed=seed)
         if step == max_effects:
             if any(s.judged and s.p_family <= alpha for s in scores):
                 warnings.append(f"stopped at {max_effects} additions: more would pass the tests")
@@ -228,8 +270,7 @@ def discover(
         say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
         additions.append(found)
         at = found.after
-        if save is not None:
-            save(at)
+        interim(at, additions)
     for earlier in additions[:-1]:
         for name in earlier.effects:
             needed, gain = still_needed(nest, at, name)
@@ -242,7 +283,6 @@ def discover(
     leftover = promote(lean, train, seed=seed)
     before = promote(nest.lean(null), train, seed=seed) if additions else leftover
     say("gap", 0.9)
-    judged = test if test is not None and test.flights else train
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
     rows: tuple[GapRow, ...] = ()
@@ -252,20 +292,35 @@ def discover(
         )
     except GreyboxError as error:
         warnings.append(f"no gap table: {error}")
-    unnamed = leftover.deficient and any(a.lawful for a in leftover.axes)
-    if any(not a.rivals for a in additions):
-        verdict = "named"
-    elif additions:
-        verdict = "ambiguous"
-    else:
-        verdict = "unnamed" if unnamed else "nothing_missing"
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not s.judged}
     return Discovery(
-        verdict=verdict, additions=tuple(additions), fit=lean, final=at, leftover=leftover, before=before, gap=rows,
+        verdict=_verdict(additions, leftover), additions=tuple(additions), fit=lean, final=at, leftover=leftover,
+        before=before, gap=rows,
         gap_on="test" if judged is not train else "train", unjudged=skipped, last_scores=tuple(scores),
         minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+        spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
     )  # fmt: skip
+
+
+def refused(
+    faults: CheckReport, vehicle: Vehicle, *, settings: Mapping[str, Any] | None = None, seconds: float = 0.0
+) -> Discovery:
+    """The answer "bad_data": faults that block would be read as physics."""
+    blocking = tuple(f"{f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking")
+    return Discovery(
+        verdict="bad_data", faults=blocking, omega_known=vehicle.actuator.speed_max is not None, seconds=seconds,
+        settings=dict(settings or {}),
+    )  # fmt: skip
+
+
+def _verdict(additions: Iterable[Addition], leftover: Promoted | None) -> str:
+    """The first of named, ambiguous and unnamed that there is."""
+    rivals = [bool(a.rivals) for a in additions]
+    if rivals:
+        return "ambiguous" if all(rivals) else "named"
+    lawful = leftover is not None and leftover.deficient and any(a.lawful for a in leftover.axes)
+    return "unnamed" if lawful else "nothing_missing"
 
 
 def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, float]]:
@@ -279,5 +334,11 @@ def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, fl
     out = {}
     for s in judged:
         loss = float(np.sqrt(max(s.statistic / s.robust, 1.0))) if s.robust > 0 and s.statistic > s.robust else 1.0
-        out[s.name] = {n: float(need * loss * v) for n, v in s.std.items() if np.isfinite(v)}
+        sizes: dict[str, float] = {}
+        for label, std in s.std.items():
+            # One value per flight: the flight that sees least decides.
+            name = label.split(".", 1)[1].split(" ")[0]
+            if np.isfinite(std):
+                sizes[name] = max(sizes.get(name, 0.0), float(need * loss * std))
+        out[s.name] = sizes
     return out

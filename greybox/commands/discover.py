@@ -1,0 +1,106 @@
+"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json and report.html."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "discover",
+        help="find, name and add the effects that a vehicle file misses",
+        description="Find where simulation and flights disagree, name the missing effects, add them and show how far the "
+        "gap closed. Writes discovery.json, model.json (the improved model) and report.html. Exit code 0: done, "
+        "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
+    )
+    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
+    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights on which only the gap is judged")
+    p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
+    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="stop after N additions (default 8)")
+    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
+                   help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
+    p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
+    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
+    p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
+    p.add_argument("--out", default="greybox-discover", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, check, search, report."""
+    from greybox.data import Dataset
+    from greybox.data.checks import check_logs
+    from greybox.data.logs import read_logs
+    from greybox.discovery.workflow import Discovery, discover, refused
+    from greybox.errors import GreyboxError
+    from greybox.estimation.record import sample_time
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.vehicle import read_vehicle
+    from greybox.report.discover_report import discover_report
+
+    quiet = arguments.json == "-"
+    if not 0 < arguments.alpha < 1:
+        raise GreyboxError("--alpha takes a probability", got=f"{arguments.alpha:g}", fix="--alpha 0.05")
+    if arguments.max_effects < 0:
+        raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    vehicle = read_vehicle(arguments.vehicle)
+    own = [e for path in arguments.effects_file for e in load_effects(path)]
+    out = Path(arguments.out)
+    content: dict[str, Any] = {}
+
+    def write(found: Discovery) -> None:
+        content.update(found.to_dict())
+        ours = sys.argv[1:2] == ["discover"]
+        content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox discover"
+        write_json(out / "discovery.json", content)
+        if found.fit is not None:
+            found.model.save(out / "model.json")
+
+    def page() -> None:
+        write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
+
+    def progress(text: str, share: float) -> None:
+        if not quiet:
+            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
+
+    # The files show faults of their clocks, which reading mends.
+    faults = check_logs([*arguments.train, *arguments.test], vehicle)
+    if faults.ok:
+        train = read_logs(arguments.train, vehicle, rate=arguments.rate)
+        test = Dataset(flights=())
+        if arguments.test:
+            test = read_logs(arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train))
+        try:
+            found = discover(
+                vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
+                adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, seed=arguments.seed, faults=faults,
+                progress=progress, save=write,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            if content:
+                page()
+            raise
+    else:
+        found = refused(faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed})
+    write(found)
+    page()
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        print(found.summary())
+        kept = "discovery.json, model.json" if found.fit is not None else "discovery.json"
+        print(f"wrote {kept} and report.html in {out}")
+    return 0
