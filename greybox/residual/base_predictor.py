@@ -86,7 +86,7 @@ def combined(models: Sequence[LinearModel], channels: Mapping[str, Terms]) -> tu
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
     """One segment under the predictor: `states` (n, n_x) x(t|t-1), `mean` (n, n_o) y(t|t-1), `known` (n,) where both are
-    predictions, `inputs` (n + past + future, n_u), parameters p, and the shift (n_o,) of the outputs."""
+    predictions, `inputs` (n + past + future, n_u), parameters p (a zero for a linear model), shift (n_o,) of the outputs."""
 
     states: FloatArray
     mean: FloatArray
@@ -207,7 +207,7 @@ class BasePredictor:
         at = [model.outputs[n] for n in self.outputs]
         return Run(
             states=states, mean=mean[:, at], known=known, inputs=np.vstack([np.repeat(u[:1], cut, axis=0), u]),
-            p=np.array([q.nominal for q in model.parameters]), shift=(offset - model.output_offset)[at],
+            p=np.zeros(1), shift=(offset - model.output_offset)[at],
         )  # fmt: skip
 
     def _run_filter(self, segment: Segment) -> Run:
@@ -295,6 +295,11 @@ class BasePredictor:
         return np.where(run.known[:, None], z, np.nan)
 
     @property
+    def _n_p(self) -> int:
+        # The many entries of linear matrices are constants of the functions; the one argument left is not used.
+        return 1 if isinstance(self.model, LinearModel) else len(self.dynamics.parameters)
+
+    @property
     def _width(self) -> tuple[int, int, int]:
         past, future = self.dynamics.window
         return past, 1, future
@@ -309,10 +314,11 @@ class BasePredictor:
 
     def _build(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
         d, n_o = self.dynamics, len(self.outputs)
-        x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", len(d.parameters))
+        x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
+        numbers = ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
         window = ca.SX.sym("U", len(d.inputs), sum(self._width))
         quiet = ca.DM.zeros(len(d.noises))
-        y = d.output(0, x, window, p, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
+        y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
         table = {n: y[i] for i, n in enumerate(self.outputs)}
         own = [n for n in names if not _LATE.fullmatch(n)]
         if isinstance(self.model, LinearModel):
@@ -321,7 +327,7 @@ class BasePredictor:
             inner = [n for n in own if n in model_features.available(d)]
             found = model_features.features(d, inner, x, window) if inner else ca.SX(0, 1)
             table |= {n: found[i] for i, n in enumerate(inner)}
-        after = d.step(0, x, window, p, quiet, self.dt)
+        after = d.step(0, x, window, numbers, quiet, self.dt)
         seen = ca.vertcat(*(table[n] for n in own)) if own else ca.SX(0, 1)
         plain = ca.Function("plain", [x, window, p], [y, seen, after])
         step, other = ca.SX.sym("d", len(d.error_states)), ca.SX.sym("x2", len(d.states))
@@ -331,7 +337,7 @@ class BasePredictor:
         state = ca.MX.sym("x", len(d.states))
         flat = ca.MX.sym("U", len(d.inputs) * sum(self._width))
         given = ca.MX.sym("given", len(names) - len(own))
-        values, shift = ca.MX.sym("p", len(d.parameters)), ca.MX.sym("shift", n_o)
+        values, shift = ca.MX.sym("p", self._n_p), ca.MX.sym("shift", n_o)
         columns = ca.reshape(flat, len(d.inputs), sum(self._width))
         error, reference = ca.MX.sym("d", len(d.error_states)), ca.MX.sym("reference", len(d.states))
         mean, told, following = plain(plus(state, error), columns, values)
