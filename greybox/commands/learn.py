@@ -27,6 +27,9 @@ def add(subparsers: Any) -> None:
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py", help="effects of your own in the model")
+    p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
+    p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
+                   "(default: as in fit.json beside it)")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")
@@ -35,6 +38,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
+    from greybox.commands.learn_output import is_linear, run_output
     from greybox.commands.validate import parse_horizons
     from greybox.data import Dataset
     from greybox.data.logs import read_logs
@@ -60,6 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise GreyboxError(
                 "--points takes a number above zero or auto", got=repr(arguments.points), fix="--points 50"
             )
+    if is_linear(arguments.model):
+        return run_output(arguments)
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
     rate = 1.0 / model.sample_time

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.estimation.linear.logs import ChannelSpec, parse_channels
 from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
@@ -233,4 +234,37 @@ def fit_output_residual(
     return OutputHybrid(
         base=base, posterior=trained.posterior, train_seconds=time.perf_counter() - began,
         report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
+    )  # fmt: skip
+
+
+def read_linear(
+    path: str | os.PathLike[str], *, channels: str | None = None
+) -> tuple[tuple[LinearModel, ...], tuple[ChannelSpec, ...], tuple[ChannelSpec, ...], tuple[str, ...]]:
+    """(models, input channels, output channels, flights fitted to) of a file that `greybox linear` wrote.
+
+    What sums of columns the channels are stands in fit.json beside the file; `channels` ("roll=u4+u3-u2-u1,...") goes before
+    it. A channel that neither names is the column of its own name. Raises `FileFormatError`, `DataError`.
+    """
+    where = str(path)
+    data = read_json(path)
+    if data.get("schema") not in LINEAR_SCHEMAS:
+        raise FileFormatError("not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS))
+    parts = data["models"] if data["schema"] == LINEAR_SCHEMAS[1] else [data]
+    models = tuple(LinearModel.from_dict(m, where=where) for m in parts)
+    told = {s.name: s for s in parse_channels(channels or "", "inputs")}
+    trained: tuple[str, ...] = ()
+    beside = Path(path).with_name("fit.json")
+    if beside.exists() and beside != Path(path):
+        fit = read_json(beside)
+        if fit.get("schema") == "greybox.linear_fit/1":
+            trained = tuple(t["name"] for t in fit["train"])
+            for c in (*fit["inputs"], *fit["outputs"]):
+                terms = tuple((float(w), str(n)) for w, n in c["terms"])
+                told.setdefault(c["name"], ChannelSpec(name=c["name"], terms=terms))
+
+    def specs(names: Iterable[str]) -> tuple[ChannelSpec, ...]:
+        return tuple(told.get(n, ChannelSpec(name=n, terms=((1.0, n),))) for n in dict.fromkeys(names))
+
+    return (
+        models, specs(n for m in models for n in m.inputs.names), specs(n for m in models for n in m.outputs.names), trained,
     )  # fmt: skip

@@ -1,0 +1,134 @@
+"""`greybox learn LINEAR_MODEL.json`: the output residual of a linear model, the paper's hybrid."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+
+def is_linear(path: str) -> bool:
+    """Whether a file is one that `greybox linear` wrote."""
+    from greybox.files import read_json
+    from greybox.residual.output_residual import LINEAR_SCHEMAS
+
+    return read_json(path).get("schema") in LINEAR_SCHEMAS
+
+
+def run_output(arguments: argparse.Namespace) -> int:
+    """Read the linear model and the logs, learn its one-step errors, judge before and after, report."""
+    import numpy as np
+
+    from greybox.commands.validate import parse_horizons
+    from greybox.data import Dataset
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.identified import library_versions
+    from greybox.model.vehicle import read_vehicle
+    from greybox.report.output_report import output_report
+    from greybox.residual.base_predictor import combined
+    from greybox.residual.output_judge import judge
+    from greybox.residual.output_residual import fit_output_residual, read_linear
+
+    quiet = arguments.json == "-"
+    horizons = parse_horizons(arguments.horizons)
+    models, inputs, outputs, trained_on = read_linear(arguments.model, channels=arguments.channels)
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    rate = 1.0 / models[0].dt
+    train = _flights(arguments.train, inputs, outputs, vehicle, rate)
+    test = _flights(arguments.test, inputs, outputs, vehicle, rate) if arguments.test else Dataset(flights=())
+    both = sorted(set(train.names) & set(test.names))
+    if both:
+        raise GreyboxError(
+            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+        )
+
+    def progress(text: str, share: float) -> None:
+        if not quiet:
+            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
+
+    names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
+    points: Any = arguments.points if arguments.points == "auto" else int(arguments.points)
+    terms = {s.name: s.terms for s in inputs}
+    base, channels = combined(models, terms)
+    hybrid = fit_output_residual(
+        base, train, channels=channels, features=names, kernel=arguments.kernel, points=points, adapt=arguments.adapt,
+        seed=arguments.seed, progress=progress,
+    )  # fmt: skip
+    out = Path(arguments.out)
+    hybrid.save(out / "hybrid.json")
+    spread = np.nanstd(np.concatenate([s.matrix(hybrid.outputs) for s in train.segments]), axis=0)
+    warnings = list(hybrid.report["training"].get("warnings", []))
+    unseen = sorted(set(trained_on) - set(train.names))
+    if unseen:
+        warnings.append(f"the model was also fitted to {', '.join(unseen)}, which were not given")
+    judged = test if test.flights else train
+    if not test.flights:
+        warnings.append("validated on the flights that were learned from: give --test flights")
+    command = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["learn"] else "greybox learn"
+    content: dict[str, Any] = {
+        "schema": "greybox.output_residual/1", "kind": "output", "command": command, "model": hybrid.name,
+        "features": list(hybrid.features), "outputs": [
+            {"name": n, "unit": s.unit, "learned": active}
+            for n, s, active in zip(hybrid.outputs, hybrid.posterior.outputs, hybrid.posterior.active, strict=True)
+        ],
+        "null": not any(hybrid.posterior.active), "kernel": arguments.kernel, "points": hybrid.posterior.points,
+        "adapt": arguments.adapt, "parameters": hybrid.parameters, "seconds": hybrid.train_seconds, "seed": arguments.seed,
+        "samples": hybrid.report["samples"], "training": hybrid.report["training"],
+        "trained_on": list(train.names), "judged_on": list(judged.names), "data_hash": train.hash, "validation": None,
+        "warnings": warnings, "versions": library_versions(),
+    }  # fmt: skip
+    write_json(out / "learn.json", content)
+    progress("validate", 1.0)
+    try:
+        content["validation"] = judge(hybrid, judged, spread=spread, horizons=horizons)
+    except GreyboxError as error:
+        warnings.append(f"no validation: {error}")
+    write_json(out / "learn.json", content)
+    report = write_atomic(out / "report.html", output_report(content))
+    if quiet:
+        sys.stdout.write(dump_json(content))
+        return 0
+    if arguments.json:
+        write_json(arguments.json, content)
+    for warning in warnings:
+        print(f"warning: {warning}")
+    print(_summary(content))
+    print(f"wrote hybrid.json, learn.json and {report.name} in {out}")
+    return 0
+
+
+def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float) -> Any:
+    """The logs as flights that hold every output under its name."""
+    from greybox.data import Dataset
+    from greybox.estimation.linear.logs import read_records
+
+    flights = []
+    for flight in read_records(paths, inputs, outputs, vehicle, rate=rate).flights:
+        segments = tuple(
+            s.replace({o.name: sum(w * s.column(c) for w, c in o.terms) for o in outputs}) for s in flight.segments
+        )
+        flights.append(replace(flight, segments=segments))
+    return Dataset(flights=tuple(flights))
+
+
+def _summary(content: dict[str, Any]) -> str:
+    learned = [o["name"] for o in content["outputs"] if o["learned"]]
+    lines = [
+        f"learned the one-step errors of {', '.join(learned)} from {', '.join(content['features'])}"
+        if learned
+        else "nothing was learned: held-out samples do not prefer the GP to a constant"
+    ]
+    checked = content["validation"]
+    if checked:
+        for name, new in checked["after"]["one_step"]["channels"].items():
+            old = checked["before"]["one_step"]["channels"][name]
+            lines.append(
+                f"  {name}: RMSE {old['mse'] ** 0.5:.4g} -> {new['mse'] ** 0.5:.4g} {new['unit']}, "
+                f"NLPD {old['nlpd']:.3f} -> {new['nlpd']:.3f}, {new['coverage95']:.1%} inside 95 %"
+            )
+    return "\n".join(lines)

@@ -1,0 +1,90 @@
+"""The report of an output residual: from learn.json (greybox.output_residual/1) to one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from greybox.files import to_plain
+from greybox.report.compare_report import pit_histogram
+from greybox.report.html import Cell, Report
+from greybox.report.words import number
+
+
+def output_report(content: Mapping[str, Any]) -> str:
+    """The page. `content` follows schemas/output_residual.json. Raises `KeyError` where a required field is missing."""
+    content = to_plain(dict(content))
+    count = len(content["trained_on"])
+    report = Report(
+        f"What {content['model'].split(' + ')[0]} misses", f"learned from {count} flight{'s' * (count != 1)}"
+    )
+    for w in content["warnings"]:
+        report.warning(w)
+    report.section("What was learned")
+    learned = [o["name"] for o in content["outputs"] if o["learned"]]
+    if learned:
+        report.verdict(
+            f"A Gaussian process of {', '.join(content['features'])} foretells the one-step errors of {', '.join(learned)}."
+        )
+    else:
+        report.paragraph(
+            "Nothing was learned: on held-out samples no output prefers the Gaussian process to a constant."
+        )
+    report.paragraph(
+        "It looks at what is known before the predicted sample: the model's own prediction, and log columns at least one "
+        "sample old. What it foretells moves the model's state as a measured error would, so that it works in free runs too."
+    )
+    report.facts(
+        [
+            ("Kernel", f"{content['kernel']}, {content['points']} support points"),
+            ("Samples", str(content["samples"])),
+            ("Time", f"{number(content['seconds'], 3)} s"),
+            ("Parameters", str(content["parameters"])),
+        ]
+    )
+    if content["validation"]:
+        _validation(report, content)
+    report.section("How to reproduce this")
+    report.code(content["command"])
+    report.facts(
+        [("Data", content["data_hash"]), ("Flights", ", ".join(content["trained_on"]))]
+        + [(k, str(v)) for k, v in content["versions"].items()]
+    )
+    return report.html()
+
+
+def _validation(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("Before and after")
+    report.paragraph(f"Judged on {', '.join(content['judged_on'])}.")
+    before, after = content["validation"]["before"], content["validation"]["after"]
+    body: list[list[Cell]] = []
+    for name, new in after["one_step"]["channels"].items():
+        old = before["one_step"]["channels"][name]
+        pair: list[Cell] = [number(v) for c in (old, new) for v in (c["mse"] ** 0.5, c["nlpd"])]
+        inside: list[Cell] = [f"{new[f'coverage{level}']:.1%}" for level in (50, 68, 95)]
+        body.append([f"{name} [{new['unit']}]", pair[0], pair[2], number(new["r2"]), pair[1], pair[3], *inside])
+    report.table(
+        ["one step ahead", "RMSE before", "after", "R\N{SUPERSCRIPT TWO}", "NLPD before", "after", "in 50 %", "in 68 %",
+         "in 95 %"], body, numeric=range(1, 9),
+    )  # fmt: skip
+    rows: list[list[Cell]] = []
+    for old, new in zip(before["horizons"], after["horizons"], strict=True):
+        for name, cell in new["channels"].items():
+            was = old["channels"][name]
+            rows.append(
+                [f"{name} [{cell['unit']}]", number(new["seconds"]), number(was["rmse"]), number(cell["rmse"]),
+                 number(was["nlpd"]), number(cell["nlpd"]), f"{cell['coverage95']:.0%}"]
+            )  # fmt: skip
+    report.table(
+        ["free run", "seconds ahead", "RMSE before", "after", "NLPD before", "after", "in 95 %"], rows, numeric=range(1, 7),
+        caption="Recorded commands, no measurement after the origin.",
+    )  # fmt: skip
+    panels = [
+        (pit_histogram(np.array(c["pit"]), title=n), f"PIT histogram of {n}")
+        for n, c in after["one_step"]["channels"].items()
+    ]
+    report.figures(
+        panels, caption="Probability integral transform, one step ahead: flat where the stated spread is right."
+    )
