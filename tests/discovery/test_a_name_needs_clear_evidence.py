@@ -1,0 +1,101 @@
+"""Which addition is named is decided by BIC among refits: clearly, or not at all. Hand-made refits stand for fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from greybox.discovery.name import Addition, next_addition, still_needed
+from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.screen import Score
+
+
+@dataclass(frozen=True)
+class Refits:
+    """A nest whose refits have a BIC by the set of effects that is free."""
+
+    bic: Mapping[tuple[str, ...], float]
+    failed: tuple[tuple[str, ...], ...] = ()
+    bound: tuple[str, ...] = ()
+    asked: list[tuple[str, ...]] = field(default_factory=list)
+
+    def refit(self, effects: Any, start: Any = None, first: Any = None) -> Any:
+        chosen = tuple(sorted(effects))
+        self.asked.append(chosen)
+        return SimpleNamespace(
+            effects=chosen, bic=self.bic[chosen], at_bound=lambda name: name in self.bound,
+            fit=SimpleNamespace(converged=chosen not in self.failed),
+        )  # fmt: skip
+
+
+def score(name: str, p_family: float, judged: bool = True) -> Score:
+    return Score(
+        name=name, statistic=10, robust=10, dof=1, p=p_family / 10, p_family=p_family, estimate={f"{name}.k": 1.0},
+        std={f"{name}.k": 0.1}, left=1.0, judged=judged,
+    )  # fmt: skip
+
+
+def choose(refits: Refits, *scores: Score, alpha: float = 0.05) -> Addition | None:
+    at = cast(NestedFit, refits.refit(()))
+    return next_addition(cast(Nest, refits), at, scores, alpha)
+
+
+def test_the_best_refit_wins_whatever_the_rank_of_its_score():
+    found = choose(
+        Refits({(): 1000.0, ("drag",): 950.0, ("damping",): 900.0}), score("drag", 0.001), score("damping", 0.002)
+    )
+    assert found is not None
+    assert found.effects == ("damping",)
+    assert found.rivals == {}
+    assert (found.delta_bic, found.delta_bic_rival, found.p_value) == (100.0, 50.0, 0.002)
+
+
+def test_rivals_within_ten_are_a_group_with_weights():
+    found = choose(
+        Refits({(): 1000.0, ("drag",): 902.0, ("damping",): 900.0}), score("drag", 0.001), score("damping", 0.002)
+    )
+    assert found is not None
+    assert list(found.rivals) == ["damping", "drag"]
+    assert sum(found.rivals.values()) == pytest.approx(1.0)
+    assert found.rivals["damping"] / found.rivals["drag"] == pytest.approx(2.718, rel=1e-3)
+
+
+@pytest.mark.parametrize(("bic", "named"), [(991.0, False), (989.0, True)])
+def test_a_gain_of_less_than_ten_is_no_name(bic: float, named: bool):
+    assert (choose(Refits({(): 1000.0, ("drag",): bic}), score("drag", 0.001)) is not None) == named
+
+
+def test_what_does_not_pass_the_test_is_not_even_refitted():
+    refits = Refits({(): 1000.0, ("drag",): 1.0})
+    assert choose(refits, score("drag", 0.06)) is None
+    assert choose(refits, score("drag", 0.001, judged=False)) is None
+    assert refits.asked == [(), ()]
+
+
+def test_refits_that_fail_or_end_at_a_bound_do_not_count():
+    bic = {(): 1000.0, ("drag",): 1.0, ("damping",): 900.0}
+    scores = (score("drag", 0.001), score("damping", 0.001))
+    for refits in (Refits(bic, failed=(("drag",),)), Refits(bic, bound=("drag",))):
+        found = choose(refits, *scores)
+        assert found is not None
+        assert found.effects == ("damping",)
+
+
+def test_lag_and_delay_are_refitted_alone_and_together_and_are_no_rivals_of_their_pair():
+    bic = {(): 1000.0, ("motor_lag",): 700.0, ("command_delay",): 600.0, ("command_delay", "motor_lag"): 500.0}
+    found = choose(Refits(bic), score("motor_lag", 0.001), score("command_delay", 0.9))
+    assert found is not None
+    assert sorted(found.effects) == ["command_delay", "motor_lag"]
+    assert found.rivals == {}
+    assert found.delta_bic_rival is None
+
+
+def test_earlier_additions_are_kept_only_while_they_help():
+    refits = Refits({("a", "b"): 100.0, ("a",): 99.0, ("b",): 120.0})
+    at = cast(NestedFit, refits.refit(("a", "b")))
+    assert still_needed(cast(Nest, refits), at, "a") == (True, 20.0)
+    assert still_needed(cast(Nest, refits), at, "b") == (False, -1.0)

@@ -1,0 +1,69 @@
+"""The gap's shares are arithmetic on squared errors: hand-made blocks give hand-made numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.discovery.gap import Squares, gap, groups_of
+
+KEY = ("rate", 0.5)
+
+
+def blocks(level: float, count: int = 20, seed: int = 0, spread: float = 0.0) -> Squares:
+    """`count` seconds of squared errors with mean `level`."""
+    rng = np.random.default_rng(seed)
+    return {KEY: [level * (1 + spread * rng.uniform(-1, 1)) * np.ones(20) for _ in range(count)]}
+
+
+def test_closed_is_the_share_of_the_excess_over_the_floor():
+    rows = gap((blocks(9.0), blocks(1.0)), (blocks(3.0), blocks(1.0)))
+    assert len(rows) == 1
+    row = rows[0]
+    assert (row.before, row.after, row.floor) == pytest.approx((3.0, np.sqrt(3.0), 1.0))
+    assert row.closed == pytest.approx(1 - (3 - 1) / (9 - 1))
+    assert row.ci95 == pytest.approx((0.75, 0.75))
+    assert row.unit == "rad/s"
+
+
+def test_a_model_without_change_closes_nothing_and_one_at_the_floor_all():
+    same, done = (gap((blocks(4.0), blocks(1.0)), (blocks(level), blocks(1.0)))[0] for level in (4.0, 1.0))
+    assert same.closed == pytest.approx(0.0)
+    assert done.closed == pytest.approx(1.0)
+
+
+def test_worse_than_before_is_negative():
+    assert gap((blocks(4.0), blocks(1.0)), (blocks(7.0), blocks(1.0)))[0].closed == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(("before", "judged"), [(1.19, False), (1.21, True)])
+def test_there_is_no_gap_to_close_next_to_the_floor(before: float, judged: bool):
+    row = gap((blocks(before), blocks(1.0)), (blocks(1.0), blocks(1.0)))[0]
+    assert (row.closed is not None) == judged
+    assert (row.ci95 is not None) == judged
+
+
+def test_without_an_imu_the_floor_is_unknown_and_counts_as_zero():
+    row = gap((blocks(4.0), {KEY: []}), (blocks(1.0), {KEY: []}))[0]
+    assert row.floor is None
+    assert row.closed == pytest.approx(0.75)
+
+
+def test_the_interval_holds_the_share_and_follows_its_seed():
+    before, after, floor = blocks(9.0, seed=1, spread=0.5), blocks(3.0, seed=2, spread=0.5), blocks(1.0, seed=3)
+    a, b, c = (gap((before, floor), (after, floor), seed=s)[0] for s in (0, 0, 1))
+    assert a.ci95 == b.ci95
+    assert a.ci95 != c.ci95
+    assert a.ci95 is not None
+    assert a.closed is not None
+    assert a.ci95[0] < a.closed < a.ci95[1]
+    assert a.ci95[1] - a.ci95[0] < 0.2
+
+
+def test_every_group_of_the_table_is_listed_once_in_order():
+    rows = gap(
+        ({("rotation", s): blocks(2.0)[KEY] for s in (0.1, 0.5)} | blocks(2.0), {}),
+        ({("rotation", s): blocks(1.0)[KEY] for s in (0.1, 0.5)} | blocks(1.0), {}),
+    )
+    assert groups_of(rows) == ("rotation", "rate")
+    assert [r.horizon_s for r in rows] == [0.1, 0.5, 0.5]
