@@ -13,11 +13,11 @@ push explains the disturbance states no longer do).
 Smoothed disturbances say what pushed the vehicle; in closed loop they are correlated with states and commands through
 time delays and feedback, and a regression on them learns that correlation too. What lowers the errors of a model that runs
 on alone does not have this bias (omitted lags and clock errors do not average into it). The strengths lambda_j of the prior
-are chosen by leaving flights out, from the same normal equations: an output that does not lower the errors of flights it
-has not seen is switched off. Gauss-Newton with step control; the inverse Hessian is the posterior covariance up to a factor
-per group, for nobody knows how many independent errors overlapping windows hold. The factor follows from how much the
-weights move when a flight is left out, against how much they should (`_dispersion`; the jackknife of Wu 1986, Annals of
-Statistics 14(4), in the metric of the errors).
+are chosen by leaving kinds of flight out, from the same normal equations: what does not lower the errors of flights unlike
+those it has seen, or raises those of any channel group, is switched off. Gauss-Newton with step control; the inverse Hessian
+is the posterior covariance up to a factor per group, for nobody knows how many independent errors overlapping windows hold.
+The factor follows from how much the weights move when a kind of flight is left out, against how much they should
+(`_dispersion`; the jackknife of Wu 1986, Annals of Statistics 14(4), in the metric of the errors).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+import scipy.cluster.hierarchy
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
@@ -57,6 +58,10 @@ SMALLEST = 1e-3
 """Least factor on the covariance of the weights."""
 CHUNK = 1000
 """Samples whose sensitivities are held in memory at once."""
+MANY = 6
+"""From this many flights on, flights of a kind are left out together."""
+HARM = 1e-4
+"""Share by which a choice may raise the left-out errors of a channel group (rounding, not harm)."""
 Progress = Callable[[str, float], None]
 IntArray = npt.NDArray[np.int_]
 
@@ -100,9 +105,10 @@ class WeightedHybrid(HybridModel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Normal:
-    """Normal equations of a stretch of flight: gradient g (P,) and Gauss-Newton Hessian h (P, P) of its cost in theta."""
+    """Normal equations of a stretch of flight by channel group (rate, rotation, ...): cost (C,), gradient g (C, P) and
+    Gauss-Newton Hessian h (C, P, P) in theta."""
 
-    cost: float
+    cost: FloatArray
     gradient: FloatArray
     hessian: FloatArray
 
@@ -163,6 +169,8 @@ class Paths:
         self.engine: Engine = self.runner.engine
         self.extra = np.zeros(0)
         self.chosen = np.array(sorted(set(horizons))) - 1
+        labels = getattr(model.physics, "channel_groups", None) or model.dynamics.innovations.names
+        self.groups = [[i for i, n in enumerate(labels) if n == g] for g in dict.fromkeys(labels)]
         records = [make_record(self.engine, s) for f in data for s in f.segments]
         self.records = [r for r in records if r.n > max(horizons) + stride]
         if not self.records:
@@ -250,8 +258,9 @@ class Paths:
         width = self.engine.past + 1 + self.engine.future
         carried = self.filtered(record, p, states, rows, bases)
         x = states[rows]
-        gradient = [np.zeros((blocks, b.size)) for b in bases]
-        hessian = [np.zeros((blocks, b.size, b.size)) for b in bases]
+        c = len(self.groups)
+        gradient = [np.zeros((blocks, c, b.size)) for b in bases]
+        hessian = [np.zeros((blocks, c, b.size, b.size)) for b in bases]
         part = np.arange(rows.size) * blocks // rows.size
         for h in range(int(self.chosen[-1]) + 1):
             at = rows + h
@@ -266,21 +275,47 @@ class Paths:
                     i = int(place[0])
                     slope = step.sensitivity @ carried[k] - self.through[:, basis.rows] @ spread
                     weight = self.scales[i] * mask[:, i]
-                    for b in range(blocks):
-                        flat = slope[part == b].reshape(-1, basis.size)
-                        own = weight[part == b]
-                        gradient[k][b] += flat.T @ (own * e[part == b, i]).ravel()
-                        hessian[k][b] += flat.T @ (flat * own.reshape(-1, 1))
+                    for b, (g, members) in itertools.product(range(blocks), enumerate(self.groups)):
+                        flat = slope[part == b][:, members].reshape(-1, basis.size)
+                        own = weight[part == b][:, members]
+                        gradient[k][b, g] += flat.T @ (own * e[part == b, i][:, members]).ravel()
+                        hessian[k][b, g] += flat.T @ (flat * own.reshape(-1, 1))
                 carried[k] = step.end_sensitivity @ carried[k] + self.push[:, basis.rows] @ spread
             x = step.ends
-        cost = (e * e * mask * self.scales).sum(axis=(1, 2))
+        weighed = (e * e * mask * self.scales).sum(axis=1)
+        cost = np.column_stack([weighed[:, members].sum(axis=1) for members in self.groups])
         return [
             [
-                Normal(cost=float(cost[part == b].sum()), gradient=gradient[k][b], hessian=_symmetric(hessian[k][b]))
+                Normal(cost=cost[part == b].sum(axis=0), gradient=gradient[k][b], hessian=_symmetric(hessian[k][b]))
                 for b in range(blocks)
             ]
             for k in range(len(bases))
         ]
+
+    def kinds(self, basis: Basis) -> list[int]:
+        """Number of the kind of flight of every record: flights that cover the features alike are one kind.
+
+        Mean and spread of every feature, clustered by average linkage into half as many kinds as flights (three at
+        least); below `MANY` flights every flight is a kind of its own.
+        """
+        flights = list(dict.fromkeys(r.flight for r in self.records))
+        numbers = {f: i for i, f in enumerate(flights)}
+        if len(flights) >= MANY:
+            rows: dict[str, list[FloatArray]] = {f: [] for f in flights}
+            width = self.engine.past + 1 + self.engine.future
+            for record in self.records:
+                _, at, states, _, _ = self.errors(record)
+                windows = record.inputs[at[:, None] + np.arange(width)].reshape(at.size, -1)
+                rows[record.flight].append(evaluate(basis.look, states[at], windows))
+            z = {
+                f: (np.concatenate(v) - basis.posterior.input_mean) / basis.posterior.input_scale
+                for f, v in rows.items()
+            }
+            table = np.array([np.concatenate([v.mean(axis=0), v.std(axis=0)]) for v in z.values()])
+            tree = scipy.cluster.hierarchy.linkage(table, method="average")
+            found = scipy.cluster.hierarchy.fcluster(tree, max(3, -(-len(flights) // 2)), criterion="maxclust")
+            numbers = dict(zip(flights, found.tolist(), strict=True))
+        return [numbers[r.flight] for r in self.records]
 
 
 def fit_open_loop(
@@ -306,13 +341,14 @@ def fit_open_loop(
         paths = Paths(model, data, horizons=horizons, stride=stride)
         bases = {label: Basis(model, posterior) for label, posterior in candidates.items()}
         blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
+        kinds = paths.kinds(next(iter(bases.values())))
         parts: dict[str, list[Normal]] = {label: [] for label in bases}
         owners: list[str] = []
         for i, record in enumerate(paths.records):
             say(f"sensitivities of {record.flight}", 0.6 * i / len(paths.records))
             for label, normals in zip(bases, paths.normal(record, list(bases.values()), blocks), strict=True):
                 parts[label] += normals
-            owners += [record.flight if blocks == 1 else f"{record.flight} {i} {b}" for b in range(blocks)]
+            owners += [str(kinds[i]) if blocks == 1 else f"{i} {b}" for b in range(blocks)]
         found = {label: _choose(parts[label], _folds(owners), basis, strengths) for label, basis in bases.items()}
         gains = {label: gain for label, (_, gain) in found.items()}
         best = max(gains, key=lambda label: gains[label])
@@ -330,7 +366,7 @@ def _iterate(
     iterations: int, say: Progress,
 ) -> OpenLoopFit:  # fmt: skip
     """Gauss-Newton with step control from zero weights."""
-    before = value = sum(n.cost for n in parts)
+    before = value = float(_total(parts, "cost"))
     strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
     on = np.isfinite(np.repeat(chosen, basis.m))
     prior = np.repeat(chosen, basis.m)[on]
@@ -374,37 +410,49 @@ def _iterate(
 
 
 def _total(parts: Sequence[Normal], what: str) -> FloatArray:
+    """Sum over stretches and channel groups."""
+    return np.asarray(np.sum([getattr(n, what).sum(axis=0) for n in parts], axis=0))
+
+
+def _by_channel(parts: Sequence[Normal], what: str) -> FloatArray:
+    """Sum over stretches, channel groups apart."""
     return np.asarray(np.sum([getattr(n, what) for n in parts], axis=0))
 
 
 def _folds(owners: Sequence[str]) -> list[list[int]]:
-    """Which parts are left out together: those of one owner (a flight; a stretch of it, where there are few flights)."""
+    """Which parts are left out together: those of one owner (a kind of flight; a stretch, where there are few flights)."""
     return [[i for i, o in enumerate(owners) if o == n] for n in dict.fromkeys(owners)]
 
 
 def _choose(
     parts: Sequence[Normal], folds: Sequence[Sequence[int]], basis: Basis, strengths: Sequence[float]
 ) -> tuple[FloatArray, float]:
-    """Prior strength per output by leaving flights out, in the quadratic model of the cost; share of the cost saved.
+    """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost; share of it saved.
 
-    Outputs of a group (force, torque) share one. Among choices within one standard error of the best the strongest
-    prior wins.
+    Outputs of a group (force, torque) share one strength. A choice must not raise the left-out errors of any channel
+    group, whatever it saves elsewhere. Among choices within one standard error of the best the strongest prior wins.
     """
     groups, m = [n.split(".")[0] for n in basis.posterior.outputs.names], basis.m
     kinds = list(dict.fromkeys(groups))
     whole_h, whole_g = _total(parts, "hessian"), _total(parts, "gradient")
-    sums = [(_total([parts[i] for i in f], "hessian"), _total([parts[i] for i in f], "gradient")) for f in folds]
+    sums = [
+        (_by_channel([parts[i] for i in f], "hessian"), _by_channel([parts[i] for i in f], "gradient")) for f in folds
+    ]
+    cost = _by_channel(parts, "cost")
     results: dict[tuple[float, ...], FloatArray] = {}
     for choice in itertools.product(strengths, repeat=len(kinds)):
         prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
         on = np.isfinite(prior)
-        saved = np.zeros(len(folds))
+        saved = np.zeros((len(folds), len(cost)))
         if on.any():
             at = np.ix_(on, on)
             for i, (h, g) in enumerate(sums):
-                theta = -np.linalg.solve(whole_h[at] - h[at] + np.diag(prior[on]), whole_g[on] - g[on])
-                saved[i] = -(2 * g[on] @ theta + theta @ h[at] @ theta)
-        results[choice] = saved
+                left_h, left_g = whole_h - h.sum(axis=0), whole_g - g.sum(axis=0)
+                theta = -np.linalg.solve(left_h[at] + np.diag(prior[on]), left_g[on])
+                bent = h[:, on][:, :, on] @ theta
+                saved[i] = -(2 * g[:, on] @ theta + bent @ theta)
+        if (saved.sum(axis=0) >= -HARM * cost).all():
+            results[choice] = saved.sum(axis=1)
     best = max(results, key=lambda c: float(results[c].sum()))
     margin = results[best]
     keep = [
@@ -413,8 +461,8 @@ def _choose(
         if (margin - saved).sum() <= np.sqrt(len(folds)) * (margin - saved).std(ddof=1) + 1e-12
     ]
     strongest = max(keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum())))
-    cost = sum(p.cost for p in parts)
-    return np.array([strongest[kinds.index(g)] for g in groups]), float(results[strongest].sum() / cost)
+    share = float(results[strongest].sum() / cost.sum())
+    return np.array([strongest[kinds.index(g)] for g in groups]), share
 
 
 def _dispersion(
@@ -481,7 +529,7 @@ def _posterior(
 
 
 def _symmetric(a: FloatArray) -> FloatArray:
-    return 0.5 * (a + a.T)
+    return np.asarray(0.5 * (a + np.swapaxes(a, -1, -2)))
 
 
 def _silent(posterior: GPPosterior) -> GPPosterior:
