@@ -36,6 +36,10 @@ FLAT_GAIN = 0.05
 tolerance. Much more would stop on plateaus behind which states of real flights were found."""
 
 
+FORGET = 3.0
+"""Time constants of the slowest predictor mode that the longest record must hold; exp(-3) of the start is then left."""
+
+
 class Status(Enum):
     """How the iteration ended; the value is advice."""
 
@@ -247,7 +251,8 @@ def minimise(
 ) -> Solution:
     """Minimise the criterion from `point`; records scaled by `prepare`. Raises `FitError` for a useless start."""
     settings = settings or Settings()
-    if not _allowed(point.system, settings):
+    radius = _forgetful(settings, point, records)
+    if not _allowed(point.system, settings, radius):
         raise FitError("the start has an unstable predictor", fix="start from a subspace method")
     current = tuple(nuisances) if nuisances is not None else start_nuisances(point.system, records, settings)
     noise = np.eye(len(point.system.c))
@@ -284,7 +289,7 @@ def minimise(
         for _ in range(tries):
             step, promised = model.step(damping)
             trial = point.moved(step)
-            if _allowed(trial.system, settings):
+            if _allowed(trial.system, settings, radius):
                 moved = _moved(current, normal.back, step)
                 there = evaluate(trial.system, moved, records, here.noise)
                 if there.criterion < here.criterion:
@@ -313,10 +318,22 @@ def minimise(
     )
 
 
-def _allowed(system: Matrices, settings: Settings) -> bool:
+def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:
+    """Radius within which the predictor forgets its start over the longest record, if the start of the fit lies there.
+
+    A mode that does not is no filter but an undamped line that the free initial state fits to the noise: it raises the
+    likelihood of these records and ruins the prediction of others. Not for K = 0: there the modes are the plant's own.
+    """
+    limit = min(settings.radius, 1.0 - FORGET / max(len(r) for r in records))
+    if not np.any(point.system.k) or spectral_radius(point.system.predictor) >= limit:
+        return settings.radius
+    return limit
+
+
+def _allowed(system: Matrices, settings: Settings, radius: float) -> bool:
     if not all(np.isfinite(v).all() for v in system):
         return False
-    if spectral_radius(system.predictor) >= settings.radius:
+    if spectral_radius(system.predictor) >= radius:
         return False
     return not settings.stable or spectral_radius(system.a) < settings.radius
 

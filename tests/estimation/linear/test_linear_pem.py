@@ -123,6 +123,20 @@ def test_a_fit_that_ran_out_of_iterations_says_so():
     assert any("not converged" in w for w in fit.warnings)
 
 
+def test_too_many_states_fit_no_undamped_line():
+    rng = np.random.default_rng(0)
+    u, e = rng.normal(size=(400, 1)), rng.normal(size=(400, 1))
+    line = np.cos(1.3 * np.arange(400))[:, None]  # a line in the noise of these records, and of no others
+    fit = fit_linear([Record(u=u, y=np.roll(u, 1, axis=0) + e + 0.3 * line)], 4)
+    assert spectral_radius(fit.model.matrices.predictor) < 1.0 - pem.FORGET / 400
+
+
+def test_a_flat_fit_is_not_called_converged():
+    assert not pem.Status.FLAT.converged
+    assert "not converged" in pem.Status.FLAT.value
+    assert [s for s in pem.Status if s.converged] == [pem.Status.CONVERGED]
+
+
 def test_an_unstable_predictor_is_refused_as_a_start():
     _, _, _, record = data(9)
     bad = Matrices(2 * np.eye(3), np.ones((3, 2)), np.ones((2, 3)), np.zeros((2, 2)), np.zeros((3, 2)))
