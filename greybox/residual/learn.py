@@ -101,10 +101,11 @@ class Learned:
 
 
 def feature_sets(model: IdentifiedModel) -> dict[str, tuple[str, ...]]:
-    """Sets of features to try, by name: motion alone, with the direction of gravity, with the rotors."""
+    """Sets of features to try, by name: body velocity, motion, motion with the direction of gravity, with the rotors."""
     full = default_features(model.dynamics)
     motion = tuple(n for n in full if n.startswith("body_velocity.") or n in ("p", "q", "r"))
-    sets = {"motion": motion, "motion and rotors": full}
+    sets = {"velocity": tuple(n for n in motion if n.startswith("body_velocity."))}
+    sets |= {"motion": motion, "motion and rotors": full}
     gravity = tuple(n for n in available(model.dynamics) if n.startswith("gravity."))
     if gravity and motion:
         sets["motion and attitude"] = (*motion, *gravity)
