@@ -1,0 +1,152 @@
+"""`greybox discover` writes discovery.json, model.json and report.html, keeps them when interrupted, refuses bad input."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+import greybox.discovery.candidates
+import greybox.discovery.workflow
+from greybox.cli import main
+from greybox.model.effects_file import load_effects
+from greybox.model.identified import IdentifiedModel
+from scenarios.excitation.injection import rich_excitation
+from scenarios.excitation.waypoints import RandomWaypoints
+from scenarios.plants.effects import RotationalDamping
+from scenarios.plants.flight_log import fly, member, write_log
+from scenarios.plants.presets import controller_for, x250
+from scenarios.plants.vehicle_file import write_vehicle
+
+FRICTION = """
+import casadi as ca
+from greybox.model.effect import Effect, vector_parameters
+
+class Friction(Effect):
+    name = "friction"
+    stage = "wrench"
+    summary = "rate damping under another name"
+    formula = "tau = -d omega"
+    references = ("Doe 2024, Friction of air",)
+
+    def parameters(self, vehicle):
+        return vector_parameters("d_", "pqr", unit="N m s", scale=1e-3, meaning="damping", lower=0.0)
+
+    def apply(self, flow, p):
+        return {"moment": -ca.vertcat(p["d_p"], p["d_q"], p["d_r"]) * flow.omega}
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("discover")
+    plant = x250([RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)])
+    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 4.0, seed=[1, 2, 3], warm_up=1.0)
+    for i, name in enumerate(("a", "b", "c")):
+        write_log(folder / f"{name}.csv", member(log, i), drop=["omega"])
+    write_vehicle(folder / "v.toml", plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    (folder / "friction.py").write_text(FRICTION)
+    lines = (folder / "a.csv").read_text().splitlines()
+    one, two = (lines[0].split(",").index(u) for u in ("u1", "u2"))
+    swapped = [lines[0]]
+    for line in lines[1:]:
+        cells = line.split(",")
+        cells[one], cells[two] = cells[two], cells[one]
+        swapped.append(",".join(cells))
+    (folder / "swapped.csv").write_text("\n".join(swapped) + "\n")
+    return folder
+
+
+def command(files: Path, *more: str) -> list[str]:
+    out = ["discover", "--vehicle", str(files / "v.toml")]
+    return [*out, *(str(files / m) if m.endswith((".csv", ".py")) else m for m in more)]
+
+
+def valid(path: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(path.read_text())
+    schema = json.loads(resources.files("greybox.schemas").joinpath("discovery.json").read_text())
+    jsonschema.validate(content, schema)
+    return content
+
+
+def test_an_own_effect_is_named_and_everything_is_written(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    arguments = command(files, "--train", "a.csv", "b.csv", "--test", "c.csv", "--effects-file", "friction.py")
+    assert main([*arguments, "--out", str(tmp_path), "--json", str(tmp_path / "again.json"), "--max-effects", "2"]) == 0
+    said = capsys.readouterr()
+    assert "added friction" in said.err
+    assert "friction: d_p" in said.out
+    content = valid(tmp_path / "discovery.json")
+    assert content == json.loads((tmp_path / "again.json").read_text())
+    assert content["verdict"] == "named"
+    assert [e["name"] for e in content["effects"]] == ["friction"]
+    assert content["trained_on"] == ["a", "b"]
+    assert content["tested_on"] == ["c"]
+    assert content["settings"]["max_effects"] == 2
+    own = load_effects(files / "friction.py")
+    model = IdentifiedModel.load(tmp_path / "model.json", effects=own)
+    assert model.effects == ("friction",)
+    assert model.values["friction.d_p"] == pytest.approx(content["effects"][0]["parameters"]["d_p"]["value"])
+    page = (tmp_path / "report.html").read_text()
+    for text in ("friction", "Where simulation and data disagree", "Which effect it is", "How far the gap closed"):
+        assert text in page
+
+
+def test_an_interruption_keeps_what_was_found(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    monkeypatch.setattr(greybox.discovery.workflow, "promote", stop)
+    arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path))
+    assert main(arguments) == 130
+    content = valid(tmp_path / "discovery.json")
+    assert [e["name"] for e in content["effects"]] == ["friction"]
+    assert "stopped before its end" in content["warnings"][0]
+    model = IdentifiedModel.load(tmp_path / "model.json", effects=load_effects(files / "friction.py"))
+    assert np.isfinite(model.values["friction.d_p"])
+    assert "stopped before its end" in (tmp_path / "report.html").read_text()
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_bad_data_are_an_answer_and_not_an_error(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path), "--json", "-")) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content == valid(tmp_path / "discovery.json")
+    assert content["verdict"] == "bad_data"
+    assert content["faults"][0].startswith("swapped: ")
+    assert not (tmp_path / "model.json").exists()
+    assert "would be read as physics" in (tmp_path / "report.html").read_text()
+
+
+BAD = {
+    "no such log": (["--train", "nothing.csv"], "nothing.csv"),
+    "alpha": (["--train", "a.csv", "--alpha", "2"], "--alpha"),
+    "max effects": (["--train", "a.csv", "--max-effects", "-1"], "--max-effects"),
+    "adapt": (["--train", "a.csv", "--adapt", "0"], "--adapt"),
+    "both": (["--train", "a.csv", "--test", "a.csv"], "twice"),
+    "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
+}
+
+
+@pytest.mark.parametrize("case", list(BAD))
+def test_bad_input_is_one_line_and_exit_code_2(
+    files: Path, tmp_path: Path, case: str, capsys: pytest.CaptureFixture[str]
+):
+    more, needle = BAD[case]
+    out = tmp_path / "out"
+    assert main([*command(files, *more), "--out", str(out)]) == 2
+    err = capsys.readouterr().err.strip()
+    assert err.startswith("greybox discover: ")
+    assert "\n" not in err
+    assert needle in err
+    assert not out.exists()

@@ -1,0 +1,42 @@
+"""A short catalogue and short flights: the whole search in seconds. The full catalogue is tested in slow tests."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+
+import greybox.discovery.candidates
+from greybox.data import Dataset
+from greybox.model.effects import CATALOGUE
+from greybox.model.vehicle import Vehicle
+from scenarios.plants.effects import PlantEffect, RotationalDamping
+from scenarios.plants.presets import x250
+from scenarios.plants.quadrotor import Quadrotor
+from scenarios.studies import discovery_grid
+
+SHORT = ("gyro_bias", "rotational_damping", "center_of_mass_offset", "parasitic_drag")
+DAMPING = RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)
+
+
+def shorten(patch: pytest.MonkeyPatch) -> None:
+    """Leave a few effects in the catalogue."""
+    some = tuple(e for e in CATALOGUE if e.name in SHORT)
+    patch.setattr(greybox.discovery.candidates, "CATALOGUE", some)
+
+
+def plant(*effects: PlantEffect) -> Quadrotor:
+    """The 250 mm quadrotor."""
+    return x250(effects)
+
+
+@functools.cache
+def vehicle() -> Vehicle:
+    """Its file, ten per cent off."""
+    return discovery_grid.vehicle_of(plant())
+
+
+@functools.cache
+def flown(*effects: PlantEffect, seeds: tuple[int, ...] = (1, 2), name: str = "train", seconds: float = 4.0) -> Dataset:
+    """Flights with hidden effects."""
+    return discovery_grid.flights(plant(*effects), seeds, seconds, name)
