@@ -21,7 +21,7 @@ from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.residual.learn import learn
-from greybox.residual.output_residual import OutputHybrid, fit_output_residual, output_features
+from greybox.residual.output_residual import OutputHybrid, fit_output_residual, output_features, with_measured_noise
 from greybox.symbolic import FloatArray
 
 KERNELS = ("se", "matern52")
@@ -183,6 +183,9 @@ def _gp(bench: Bench) -> Outcome:
     best = dict(min(tried, key=lambda t: t["validation"]))
     best.pop("validation")
     final = trained((*own, *judge), best)
+    z, y, _ = final.lags.pairs((*own, *judge))
+    target = y - z[:, : len(outputs)] if final.increments else y
+    final = replace(final, posterior=with_measured_noise(final.posterior, z, target))
     seconds = time.perf_counter() - began
     return bench.outcome("GP alone", final, views=True, seconds=seconds, search=tried, settings=best)
 

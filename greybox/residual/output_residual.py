@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -190,6 +190,18 @@ def residual_rows(
     return np.concatenate(z), np.concatenate(r), np.concatenate(flights)
 
 
+def with_measured_noise(posterior: GPPosterior, z: FloatArray, y: FloatArray) -> GPPosterior:
+    """The posterior with the noise (n_out,) that all rows z (N, n_in), y (N, n_out) show: their mean squared error.
+
+    The marginal likelihood of a few hundred rows is too rough a measure of errors with heavy tails. The factor N/(N - M) is
+    for the M weights fitted to the same rows. Outputs that nothing was learned of keep theirs.
+    """
+    e = y - posterior.evaluate_mean(z)
+    lost = min(posterior.points, len(z) // 2)
+    measured = np.mean(e**2, axis=0) * len(z) / (len(z) - lost)
+    return replace(posterior, noise=np.where(posterior.active, measured, posterior.noise), group_noise={})
+
+
 def fit_output_residual(
     model: Base | Sequence[LinearModel] | BasePredictor,
     train: Dataset | Segment | Sequence[Segment],
@@ -232,7 +244,7 @@ def fit_output_residual(
     )  # fmt: skip
     settings = {"features": list(names), "kernel": kernel, "points": points}
     return OutputHybrid(
-        base=base, posterior=trained.posterior, train_seconds=time.perf_counter() - began,
+        base=base, posterior=with_measured_noise(trained.posterior, z, r), train_seconds=time.perf_counter() - began,
         report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
     )  # fmt: skip
 
