@@ -272,7 +272,9 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
         seconds = [r["horizon_s"] or first for r in own]
         curves = {n: ([r[n] for r in own], colour, style) for n, colour, style in looks}
         curves = {n: c for n, c in curves.items() if any(v is not None for v in c[0])}
-        figure = figures.error_growth(seconds, curves, unit=own[0]["unit"], title=g.replace("_", " "))
+        figure = figures.error_growth(
+            seconds, curves, unit=own[0]["unit"], title=g.replace("_", " "), measure="RMS error"
+        )
         panels.append((figure, f"RMS {g} error against the horizon before and after the additions, with the floor"))
     report.figures(
         panels,

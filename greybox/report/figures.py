@@ -103,9 +103,14 @@ def time_series(t: npt.ArrayLike, rows: Mapping[str, Sequence[Line]], *, title: 
 
 
 def error_growth(
-    seconds: npt.ArrayLike, curves: Mapping[str, tuple[Sequence[float | None], str, str]], *, unit: str, title: str
+    seconds: npt.ArrayLike,
+    curves: Mapping[str, tuple[Sequence[float | None], str, str]],
+    *,
+    unit: str,
+    title: str,
+    measure: str = "mean error",
 ) -> Figure:
-    """Mean absolute error against the horizon, both axes logarithmic.
+    """Error (by `measure`) against the horizon, both axes logarithmic.
 
     `curves`: label -> (values (H,), colour, line style) at `seconds` (H,). Values that are not positive are left out.
     """
@@ -129,7 +134,7 @@ def error_growth(
     low, high = axes.get_ylim()
     if high / low > 100:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0,), numticks=8))
-    _label(axes, x="seconds ahead", title=f"{title}: mean error [{unit}]")
+    _label(axes, x="seconds ahead", title=f"{title}: {measure} [{unit}]")
     return figure
 
 

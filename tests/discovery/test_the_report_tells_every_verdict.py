@@ -1,0 +1,128 @@
+"""The report of a discovery is one safe page for every verdict, however little is known."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from importlib import resources
+from typing import Any
+
+import jsonschema
+import pytest
+
+from greybox.report.discover_report import ANSWERS, discover_report
+
+AXES = [f"{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"]
+
+
+def content(verdict: str = "named") -> dict[str, Any]:
+    """A discovery.json made by hand."""
+    named, nothing = verdict == "named", verdict in ("bad_data", "nothing_missing")
+    scores = [
+        {"name": "rotor_drag", "statistic": 900.0, "dof": 2, "p": 0.0, "p_family": 0.001},
+        {"name": "gyro_bias", "statistic": 2.0, "dof": 3, "p": 0.57, "p_family": 0.98},
+    ]
+    axis = {
+        "unit": "N",
+        "rms": 0.2,
+        "share": 0.6,
+        "depends_on": ["velocity.x"],
+        "proposal": "force.x = -0.1 velocity.x",
+    }
+    gap = {"group": "rotation", "unit": "rad", "before": 0.5, "after": 0.1, "floor": 0.02}
+    effect = {
+        "name": "rotor_drag", "stage": "wrench", "p_value": 0.001, "delta_bic": 600.0, "delta_bic_rival": None,
+        "alternatives": [], "step": 1,
+        "parameters": {
+            "k_x": {"value": 2e-5, "std": 1e-7, "unit": "kg/rad"}, "k_y": {"value": 0.0, "std": None, "unit": "kg/rad"},
+        },
+    }  # fmt: skip
+    group = {
+        "candidates": [{"name": "a", "weight": 0.7}, {"name": "b", "weight": 0.3}], "separating_manoeuvre": None,
+    }  # fmt: skip
+    searched = verdict != "bad_data"
+    return {
+        "schema": "greybox.discovery/1", "verdict": verdict, "effects": [effect] if named else [], "omega_known": True,
+        "ambiguous": [group] if verdict == "ambiguous" else [],
+        "unnamed": [axis | {"channel": "force.x"}] if verdict == "unnamed" else [],
+        "locations": [
+            axis | {"channel": a, "unit": "N" if a[0] == "f" else "N m", "rms_after": 0.01} for a in AXES
+        ] if searched else [],
+        "deficiency": {"before": None, "after": None} if not searched
+        else {"before": -12.0 if nothing else 800.0, "after": -12.0},
+        "spectrum": {
+            "frequency_hz": [0.5, 2.0, 20.0],
+            "channels": [
+                {"name": "p", "before": [30.0, 4.0, 1.0], "after": [1.0, 1.1, 0.9]},
+                {"name": "x", "before": [None] * 3, "after": [None] * 3},
+            ],
+        } if searched else None,
+        "steps": [
+            {"step": 1, "added": ["rotor_drag"] if named else [], "delta_bic": 600.0 if named else None, "rivals": {},
+             "p_limit": 0.002, "scores": scores},
+        ] if searched else [],
+        "gap": [
+            gap | {"horizon_s": 0.0, "closed": None, "ci95": None},
+            gap | {"horizon_s": 0.5, "closed": 0.96, "ci95": [0.9, 0.99]},
+            gap | {"group": "rate", "unit": "rad/s", "horizon_s": 0.5, "floor": None, "closed": -0.2, "ci95": None},
+        ] if searched else [],
+        "gap_on": "test" if searched else "", "minimum_detectable": {"gyro_bias": {"b_x": 0.001}} if searched else {},
+        "not_judged": {"battery_sag": "no vbat", "payload_mass": "collinear with the free parameters"},
+        "faults": [] if searched else ["a: motors 1 and 2 are swapped"], "warnings": [],
+        "settings": {"alpha": 0.05, "seed": 0, "sample_time": 0.01}, "trained_on": ["a"] if searched else [],
+        "tested_on": ["b"] if searched else [], "data_hash": "ff" if searched else None, "seconds": 3.0,
+        "versions": {"greybox": "1"}, "command": "greybox discover",
+    }  # fmt: skip
+
+
+def tree(page: str) -> ElementTree.Element:
+    return ElementTree.fromstring(page.split("\n", 1)[1].replace('<html lang="en">', "<html>", 1))
+
+
+@pytest.mark.parametrize("verdict", list(ANSWERS))
+def test_every_verdict_has_a_page_that_says_it(verdict: str):
+    given = content(verdict)
+    schema = json.loads(resources.files("greybox.schemas").joinpath("discovery.json").read_text())
+    jsonschema.validate(given, schema)
+    page = discover_report(given)
+    tree(page)
+    assert ANSWERS[verdict] in page
+    assert "<script" not in page
+    words = re.sub(r"<[^>]*>", " ", page).lower().split()
+    assert "nan" not in words
+    assert "none" not in words
+
+
+def test_a_name_comes_with_its_number_its_place_and_its_gain():
+    page = discover_report(content())
+    for text in ("rotor_drag.k_x", "at bound", "velocity.x", "96 %", "90 % .. 99 %", "model.json", "force.x"):
+        assert text in page
+    assert page.index("What was added</h2>") < page.index("How far the gap closed</h2>")
+
+
+def test_what_was_not_judged_and_not_seen_is_said():
+    page = discover_report(content("nothing_missing"))
+    assert "no vbat" in page
+    assert "gyro_bias.b_x" in page
+    assert "weigh" in page
+
+
+def test_a_group_shows_its_weights_and_a_law_its_terms():
+    assert "70 %" in discover_report(content("ambiguous"))
+    assert "-0.1 velocity.x" in discover_report(content("unnamed")).replace("\N{MINUS SIGN}", "-")
+
+
+def test_faults_stand_first():
+    page = discover_report(content("bad_data"))
+    assert page.index("motors 1 and 2 are swapped") < page.index("The answer</h2>")
+
+
+def test_hostile_names_are_shown_not_run():
+    evil = "<script>alert(\"$x$ & 'y'\")</script>"
+    given = content()
+    given["effects"][0]["name"] = given["steps"][0]["added"][0] = given["steps"][0]["scores"][0]["name"] = evil
+    given["warnings"] = [evil]
+    page = discover_report(given)
+    assert "<script" not in page
+    tree(page)
