@@ -261,8 +261,8 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
     where = "flights that were not searched in" if content["gap_on"] == "test" else "the training flights themselves"
     report.paragraph(
         f"Open-loop prediction from the filtered state, on {where}. The floor is dead reckoning with the measured gyro and "
-        "accelerometer, about the best that any model could do; where the noise of that sensor is larger than the model's "
-        "errors, the curve after can lie under it."
+        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay above "
+        "it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
     )
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
