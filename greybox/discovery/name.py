@@ -9,7 +9,7 @@ delay) are refitted alone and together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,7 +41,10 @@ class Addition:
 
 def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float) -> Addition | None:
     """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly."""
-    passing = [s for s in scores if s.judged and s.p_family <= alpha][:CONTENDERS]
+    passing = [s for s in scores if s.judged and s.p_family <= alpha]
+    # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
+    # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have.
+    passing = sorted(passing, key=lambda s: -s.statistic)[:CONTENDERS]
     if not passing:
         return None
     by_name = {s.name: s for s in scores}
@@ -62,6 +65,10 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
         return None
     order = sorted(fits, key=lambda c: fits[c].bic)
     best = order[0]
+    # Two names must be clearly better than one of them.
+    fewer = [c for c in order if set(c) < set(best)]
+    if fewer and fits[fewer[0]].bic - fits[best].bic < CLEAR:
+        best = fewer[0]
     gain = at.bic - fits[best].bic
     if gain < CLEAR:
         return None
@@ -79,8 +86,24 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     )  # fmt: skip
 
 
-def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[bool, float]:
-    """(whether `effect` still improves BIC next to the others, BIC without - BIC with), by a refit without it."""
+def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[NestedFit | None, float]:
+    """(the fit without `effect` if it does not improve BIC clearly next to the others, else None; BIC without - with)."""
     smaller = nest.refit(tuple(e for e in at.effects if e != effect), start=at)
     gain = smaller.bic - at.bic
-    return gain > 0, gain
+    return (None if gain > CLEAR or not smaller.fit.converged else smaller), gain
+
+
+def prune(nest: Nest, at: NestedFit, additions: Sequence[Addition]) -> tuple[NestedFit, list[Addition], list[str]]:
+    """Leave out, one by one, what was added before the last addition and is not needed next to what came later.
+
+    Returns the last fit, the additions with the effects that stay, and a sentence for every effect that went.
+    """
+    notes = []
+    for earlier in additions[:-1]:
+        for name in earlier.effects:
+            smaller, gain = still_needed(nest, at, name)
+            if smaller is not None:
+                notes.append(f"{name} was added first and is not needed next to the others (BIC {gain:.1f}): removed")
+                at = smaller
+    kept = [replace(a, effects=tuple(e for e in a.effects if e in at.effects)) for a in additions]
+    return at, [a for a in kept if a.effects], notes

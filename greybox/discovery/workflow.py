@@ -19,7 +19,7 @@ from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import GapRow, gap, squares
 from greybox.discovery.leftover import Promoted, promote
-from greybox.discovery.name import Addition, next_addition, still_needed
+from greybox.discovery.name import Addition, next_addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
 from greybox.discovery.spectrum import Spectrum, spectrum
@@ -126,7 +126,10 @@ class Discovery:
                 "step": k, "added": list(added), "delta_bic": gain if added else None, "rivals": dict(rivals),
                 "p_limit": next((s.limit for s in scores if s.judged), None),
                 "scores": [
-                    {"name": s.name, "statistic": s.robust, "dof": s.dof, "p": s.p, "p_family": s.p_family}
+                    {
+                        "name": s.name, "gain": 0.5 * s.statistic, "statistic": s.robust, "dof": s.dof, "p": s.p,
+                        "p_family": s.p_family,
+                    }
                     for s in scores if s.judged
                 ],
             }
@@ -271,13 +274,8 @@ def discover(
         additions.append(found)
         at = found.after
         interim(at, additions)
-    for earlier in additions[:-1]:
-        for name in earlier.effects:
-            needed, gain = still_needed(nest, at, name)
-            if not needed:
-                warnings.append(f"{name} was added first and is not needed any more (BIC {gain:.1f}): removed")
-                at = nest.refit(tuple(e for e in at.effects if e != name), start=at)
-    additions = [a for a in additions if all(e in at.effects for e in a.effects)]
+    at, additions, removed = prune(nest, at, additions)
+    warnings += removed
     say("leftover", 0.75)
     lean = nest.lean(at)
     leftover = promote(lean, train, seed=seed)

@@ -45,9 +45,9 @@ def paired_bars(names: Sequence[str], before: npt.ArrayLike, after: npt.ArrayLik
 
 
 def evidence(
-    names: Sequence[str], strength: npt.ArrayLike, passed: Sequence[bool], limit: float | None, *, title: str
+    names: Sequence[str], strength: npt.ArrayLike, looks: Sequence[str], limit: float | None, *, title: str
 ) -> Figure:
-    """Evidence -log10 p (K,) of every candidate as bars on a logarithmic axis, those that `passed` in the model's colour;
+    """Evidence -log10 p (K,) of every candidate as bars on a logarithmic axis, in the colours `looks` (c1, c3, muted);
     `limit` is the line that they had to pass."""
     values = np.maximum(np.asarray(strength, dtype=np.float64), 0.11)
     height = 0.2 * len(names) + 0.95
@@ -55,7 +55,7 @@ def evidence(
     left = 1.72
     axes = _axes(figure, left, 0.46, WIDTH - left - 0.2, height - _TOP - 0.46)
     rows = np.arange(len(names))[::-1]
-    colours = [SERIES[0] if good else MUTED for good in passed]
+    colours = [{"c1": SERIES[0], "c3": SERIES[2]}.get(look, MUTED) for look in looks]
     axes.barh(rows, values - 0.1, left=0.1, height=0.62, color=colours, linewidth=0)
     axes.set_xscale("log")
     axes.set_xlim(0.1, max(100.0, 1.5 * float(values.max(initial=1.0))))

@@ -184,7 +184,7 @@ def _which(report: Report, content: Mapping[str, Any]) -> None:
     )
     panels: list[tuple[Figure, str]] = []
     for step in steps:
-        scores = sorted(step["scores"], key=_strength, reverse=True)[:BARS]
+        scores = sorted(step["scores"], key=lambda s: s["gain"], reverse=True)[:BARS]
         if not scores:
             continue
         limit = step["p_limit"]
@@ -192,20 +192,36 @@ def _which(report: Report, content: Mapping[str, Any]) -> None:
         figure = evidence(
             [s["name"] for s in scores],
             [_strength(s) for s in scores],
-            [s["p_family"] <= alpha for s in scores],
+            ["c3" if s["name"] in step["added"] else "c1" if s["p_family"] <= alpha else "muted" for s in scores],
             -math.log10(limit) if limit else None,
             title=f"step {step['step']}: {added} added",
         )
         panels.append((figure, f"Evidence for each candidate at step {step['step']}, {added} added"))
-    report.figures(panels, key=[Key(text="passes", colour="c1"), Key(text="does not", colour="muted")])
+    report.figures(
+        panels,
+        key=[
+            Key(text="added", colour="c3"),
+            Key(text="passes", colour="c1"),
+            Key(text="does not", colour="muted"),
+        ],
+        caption="From the top by the gain in likelihood that the test expects. A large effect makes many others pass; which "
+        "of them explains it best, the refits say.",
+    )
     rows: list[list[Cell]] = [
-        [s["name"], str(step["step"]), number(s["statistic"], 4), s["dof"], p_value(s["p_family"])]
+        [
+            s["name"],
+            str(step["step"]),
+            number(s["gain"], 4),
+            number(s["statistic"], 4),
+            s["dof"],
+            p_value(s["p_family"]),
+        ]
         for step in steps
         for s in step["scores"]
     ]
     with report.details(f"All tests ({len(rows)})"):
-        report.table(["candidate", "step", "statistic", "degrees of freedom", "p of the largest of all"], rows,
-                     numeric=(1, 2, 3, 4))  # fmt: skip
+        report.table(["candidate", "step", "expected gain", "statistic", "degrees of freedom", "p of the largest of all"],
+                     rows, numeric=(1, 2, 3, 4, 5))  # fmt: skip
 
 
 def _added(report: Report, content: Mapping[str, Any]) -> None:
@@ -261,8 +277,8 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
     where = "flights that were not searched in" if content["gap_on"] == "test" else "the training flights themselves"
     report.paragraph(
         f"Open-loop prediction from the filtered state, on {where}. The floor is dead reckoning with the measured gyro and "
-        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay above "
-        "it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
+        "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay "
+        "above it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
     )
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))

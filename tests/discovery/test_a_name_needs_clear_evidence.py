@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from greybox.discovery.name import Addition, next_addition, still_needed
+from greybox.discovery.name import Addition, next_addition, prune, still_needed
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
 
@@ -32,9 +32,9 @@ class Refits:
         )  # fmt: skip
 
 
-def score(name: str, p_family: float, judged: bool = True) -> Score:
+def score(name: str, p_family: float, judged: bool = True, statistic: float = 30.0) -> Score:
     return Score(
-        name=name, statistic=10, robust=10, dof=1, p=p_family / 10, p_family=p_family, estimate={f"{name}.k": 1.0},
+        name=name, statistic=statistic, robust=10, dof=1, p=p_family / 10, p_family=p_family, estimate={f"{name}.k": 1.0},
         std={f"{name}.k": 0.1}, left=1.0, judged=judged,
     )  # fmt: skip
 
@@ -76,6 +76,15 @@ def test_what_does_not_pass_the_test_is_not_even_refitted():
     assert refits.asked == [(), ()]
 
 
+def test_contenders_are_those_that_promise_most_likelihood():
+    others = [score(name, 0.001) for name in "abcd"]
+    bic = {(): 1000.0, **{(name,): 990.0 - k for k, name in enumerate("abcd")}, ("drag",): 500.0}
+    found = choose(Refits(bic), *others, score("drag", 0.04, statistic=400.0))
+    assert found is not None
+    assert found.effects == ("drag",)
+    assert found.p_value == 0.04
+
+
 def test_refits_that_fail_or_end_at_a_bound_do_not_count():
     bic = {(): 1000.0, ("drag",): 1.0, ("damping",): 900.0}
     scores = (score("drag", 0.001), score("damping", 0.001))
@@ -94,8 +103,43 @@ def test_lag_and_delay_are_refitted_alone_and_together_and_are_no_rivals_of_thei
     assert found.delta_bic_rival is None
 
 
-def test_earlier_additions_are_kept_only_while_they_help():
-    refits = Refits({("a", "b"): 100.0, ("a",): 99.0, ("b",): 120.0})
+def test_two_names_must_be_clearly_better_than_one():
+    bic = {(): 1000.0, ("motor_lag",): 505.0, ("command_delay",): 600.0, ("command_delay", "motor_lag"): 500.0}
+    found = choose(Refits(bic), score("motor_lag", 0.001), score("command_delay", 0.001))
+    assert found is not None
+    assert found.effects == ("motor_lag",)
+    assert found.rivals == {}
+    assert (found.delta_bic, found.delta_bic_rival) == (495.0, 95.0)
+
+
+def test_earlier_additions_are_kept_only_while_they_help_clearly():
+    refits = Refits({("a", "b"): 100.0, ("a",): 109.0, ("b",): 120.0})
     at = cast(NestedFit, refits.refit(("a", "b")))
-    assert still_needed(cast(Nest, refits), at, "a") == (True, 20.0)
-    assert still_needed(cast(Nest, refits), at, "b") == (False, -1.0)
+    assert still_needed(cast(Nest, refits), at, "a") == (None, 20.0)
+    smaller, gain = still_needed(cast(Nest, refits), at, "b")
+    assert smaller is not None
+    assert (smaller.effects, gain) == (("a",), 9.0)
+    failed = Refits(refits.bic, failed=(("a",),))
+    assert still_needed(cast(Nest, failed), at, "b")[0] is None
+
+
+def test_of_a_pair_the_one_that_is_needed_stays():
+    pair = ("command_delay", "motor_lag")
+    whole = ("center_of_mass_offset", *pair)
+    bic = {(): 1000.0, pair: 500.0, whole: 100.0, ("center_of_mass_offset", "motor_lag"): 92.0}
+    bic |= {("center_of_mass_offset", "command_delay"): 400.0, ("center_of_mass_offset",): 900.0}
+    refits = Refits(bic)
+    additions = [added(pair), added(("center_of_mass_offset",))]
+    at, kept, notes = prune(cast(Nest, refits), cast(NestedFit, refits.refit(whole)), additions)
+    assert [a.effects for a in kept] == [("motor_lag",), ("center_of_mass_offset",)]
+    assert at.effects == ("center_of_mass_offset", "motor_lag")
+    assert len(notes) == 1
+    assert notes[0].startswith("command_delay")
+
+
+def added(effects: tuple[str, ...]) -> Addition:
+    fit = cast(NestedFit, SimpleNamespace(effects=effects))
+    return Addition(
+        effects=effects, p_value=0.001, delta_bic=100.0, delta_bic_rival=None, rivals={}, before=fit, after=fit,
+        scores=(),
+    )  # fmt: skip
