@@ -7,13 +7,16 @@ half a second. The covariance h samples ahead is affine in the squared levels,
     Sigma_h = Sigma_h(filter error, parameters, learned part) + sum_g kappa_g^2 Sigma_h(noise of group g),
 
 so that the factors kappa_g of the groups (force, torque, ...) follow from the multi-step errors of the training flights by
-maximum likelihood at little cost. The filter keeps its own levels. (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate
-quantiles after the fact; here the stated physics of the error growth stays.)
+maximum likelihood at little cost. The filter keeps its own levels. Flights of one craft differ in how rough they are; where
+the first seconds of a new flight are there, the factors are corrected on them, with one as prior.
+
+(Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated physics of the error growth
+stays.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +33,10 @@ from greybox.validation.predictive import gaussian_nlpd
 
 HORIZONS = (5, 10, 20, 35, 50)
 LIMITS = (0.1, 10.0)
+EARLY = (2, 5, 10, 20)
+"""Horizons in samples on which the roughness of a new flight is judged: the seconds for it are few."""
+ROUGHNESS = 0.3
+"""Prior spread of the logarithm of a flight's noise level."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,53 +66,109 @@ def calibrate_horizons(
     accelerometer, whose errors are its own noise, is left out where anything else is measured. Raises `DataError` where
     no flight is long enough.
     """
-    groups = list(dict.fromkeys(n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names))
-    members = np.array(
-        [groups.index(n.removeprefix("disturbance.").split(".")[0]) for n in model.dynamics.noises.names]
-    )
-    runner = Filter(model)
-    levels = model.process_noise
-    variants = [np.zeros_like(levels), *(np.where(members == g, levels, 0.0) for g in range(len(groups)))]
-    # First everything but the noise, then the same without parameters, then one noise group at a time.
-    propagators = [Propagator(runner, noise=variants[0])]
-    propagators += [Propagator(runner, parameters=False, noise=v) for v in variants]
-    blocks = _blocks(model)
+    work = _Parts(Filter(model), model.process_noise)
     found: list[_Errors] = []
-    longest = max(horizons)
     for flight in data:
         for segment in flight.segments:
             step = max(1, round(spacing / segment.dt))
-            origins = np.arange(step, segment.n - longest - 1, step)
-            if not origins.size:
-                continue
-            filtered = runner.run(segment)
-            try:
-                runs = [list(p.run(filtered, origins, longest)) for p in propagators]
-            except FitError:
-                continue
-            for h in horizons:
-                at = [r[h - 1] for r in runs]
-                e = _errors(runner, filtered, at[0].states, origins + h)
-                seen = filtered.record.mask[origins + h] != 0
-                for rows in blocks:
-                    keep = seen[:, rows].all(axis=1)
-                    if keep.any():
-                        c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
-                        found.append(_Errors(e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
+            origins = np.arange(step, segment.n - max(horizons) - 1, step)
+            if origins.size:
+                found += work.errors(work.runner.run(segment), origins, horizons)
     if not found:
-        raise DataError("no flight is long enough to calibrate multi-step uncertainty", expected=f"{longest} samples")
+        raise DataError(
+            "no flight is long enough to calibrate multi-step uncertainty", expected=f"{max(horizons)} samples"
+        )
 
     def cost(log_factors: FloatArray) -> float:
         return float(np.mean([_density(f, np.exp(2 * log_factors)) for f in found]))
 
-    start = np.zeros(len(groups))
-    bounds = [tuple(np.log(LIMITS))] * len(groups)
-    best = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds)
-    factors = np.exp(best.x)
+    factors, best = work.solve(cost)
     return Calibration(
-        model=replace(model, horizon_noise=levels * factors[members]),
-        factors=dict(zip(groups, factors.tolist(), strict=True)), gain=cost(start) - float(best.fun),
+        model=replace(model, horizon_noise=model.process_noise * factors[work.members]),
+        factors=dict(zip(work.groups, factors.tolist(), strict=True)), gain=cost(np.zeros(factors.size)) - best,
     )  # fmt: skip
+
+
+def flight_roughness(
+    runner: Filter,
+    filtered: Filtered,
+    samples: int,
+    *,
+    extra: Mapping[str, float] | None = None,
+    horizons: Sequence[int] = EARLY,
+    spacing: float = 0.1,
+) -> dict[str, float]:
+    """Factor of every noise group for one flight, from the first `samples` of a filtered segment.
+
+    Maximum a posteriori: the errors of these samples (windows that overlap count once), with a factor of one and a
+    between-flight spread of `ROUGHNESS` (logarithmic) as prior. All ones where there is too little to see. Multiplies the
+    model's horizon noise. `extra` as in `Propagator`.
+    """
+    model, dt = runner.model, filtered.record.dt
+    levels = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    work = _Parts(runner, levels, extra)
+    step = max(1, round(spacing / dt))
+    origins = np.arange(step, min(samples, filtered.record.n) - max(horizons) - 1, step)
+    found = work.errors(filtered, origins, horizons) if origins.size else []
+    if not found:
+        return dict.fromkeys(work.groups, 1.0)
+    windows = [origins.size * step / h for h in horizons]
+    share = float(np.mean(windows)) * len(work.blocks) / len(found)
+
+    def cost(log_factors: FloatArray) -> float:
+        density = sum(_density(f, np.exp(2 * log_factors)) for f in found)
+        return share * density + float(np.sum(log_factors**2)) / (2 * ROUGHNESS**2)
+
+    factors, _ = work.solve(cost)
+    return dict(zip(work.groups, factors.tolist(), strict=True))
+
+
+def rough_noise(model: IdentifiedModel, roughness: Mapping[str, float]) -> FloatArray:
+    """Horizon noise (n_w) of the model with the factors of `flight_roughness`."""
+    levels = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    heads = [n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names]
+    return levels * np.array([roughness.get(h, 1.0) for h in heads])
+
+
+class _Parts:
+    """Errors ahead of origins with the parts of their covariance, by noise group."""
+
+    def __init__(self, runner: Filter, levels: FloatArray, extra: Mapping[str, float] | None = None) -> None:
+        model = runner.model
+        heads = [n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names]
+        self.runner = runner
+        self.groups = list(dict.fromkeys(heads))
+        self.members = np.array([self.groups.index(h) for h in heads])
+        self.blocks = _blocks(model)
+        none = np.zeros_like(levels)
+        variants = [none, *(np.where(self.members == g, levels, 0.0) for g in range(len(self.groups)))]
+        # First everything but the noise, then the same without parameters, then one noise group at a time.
+        self.propagators = [Propagator(runner, extra=extra, noise=none)]
+        self.propagators += [Propagator(runner, parameters=False, noise=v) for v in variants]
+
+    def errors(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]) -> list[_Errors]:
+        """Per horizon and channel block; nothing where a prediction is not finite."""
+        try:
+            runs = [list(p.run(filtered, origins, max(horizons))) for p in self.propagators]
+        except FitError:
+            return []
+        found = []
+        for h in horizons:
+            at = [r[h - 1] for r in runs]
+            e = _errors(self.runner, filtered, at[0].states, origins + h)
+            seen = filtered.record.mask[origins + h] != 0
+            for rows in self.blocks:
+                keep = seen[:, rows].all(axis=1)
+                if keep.any():
+                    c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
+                    found.append(_Errors(e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
+        return found
+
+    def solve(self, cost: Callable[[FloatArray], float]) -> tuple[FloatArray, float]:
+        """(factors (n_groups,), least cost)."""
+        start = np.zeros(len(self.groups))
+        best = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=[tuple(np.log(LIMITS))] * start.size)
+        return np.exp(best.x), float(best.fun)
 
 
 def _blocks(model: IdentifiedModel) -> list[list[int]]:

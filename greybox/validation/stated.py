@@ -2,8 +2,8 @@
 
 Read off the propagated covariance (`greybox.estimation.propagation`): groups that the model measures carry the noise of
 their sensor, for the reference they are judged against is that sensor; a velocity that the model does not measure is read
-from the state, and its reference has the noise that the vehicle file states for it (0.02 m/s where it does not). World vectors are turned from body axes (where errors live) into the world; the rotation's error is a
-rotation vector in body axes.
+from the state, and its reference has the noise that the vehicle file states for it (0.02 m/s where it does not). World
+vectors are turned from body axes (where errors live) into the world; the rotation's error is a rotation vector in body axes.
 """
 
 from __future__ import annotations
