@@ -49,7 +49,7 @@ from greybox.residual.posterior import GPPosterior
 from greybox.residual.sparse import safe_cholesky, variational
 from greybox.symbolic import Expr, FloatArray, evaluate
 
-HORIZONS = (2, 5, 10, 20, 35, 50)
+HORIZONS = (1, 2, 5, 10, 20, 35, 50)
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
 """Prior strengths to choose from; infinite switches the outputs of a group off."""
 FEW, BLOCKS = 4, 4
