@@ -60,10 +60,14 @@ def test_noise_has_no_law(colour: int):
     assert called <= 1
 
 
-def test_a_law_of_one_flight_only_is_none():
-    z, flights = signals()
-    y = np.where(np.array(flights) == "a", 1.0, -1.0) * column(z, "q")
-    assert not law(y, z, flights).lawful
+def test_what_turns_its_sign_between_flights_is_no_law():
+    called = 0
+    for seed in range(10):
+        z, flights = signals(n=2000, seed=seed)
+        y = np.where(np.array(flights) == "a", 1.0, -1.0) * column(z, "q")
+        called += law(y, z, flights).lawful
+    # By chance another signal may change its sign along.
+    assert called <= 1
 
 
 def test_nothing_left_is_nothing():
