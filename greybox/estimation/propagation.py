@@ -46,7 +46,8 @@ class Propagator:
     """Propagates mean and covariance of an identified model through a horizon.
 
     `extra` adds (or replaces) parameter standard deviations by name, such as those of an adaptation to the flight.
-    `parameters=False` leaves the parameters' uncertainty out. `noise` (n_w) replaces the model's process-noise levels.
+    `parameters=False` leaves the parameters' uncertainty out, `learned=False` that of a learned push. `noise` (n_w)
+    replaces the model's process-noise levels.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Propagator:
         *,
         extra: Mapping[str, float] | None = None,
         parameters: bool = True,
+        learned: bool = True,
         noise: FloatArray | None = None,
         use_compiler: bool = True,
     ) -> None:
@@ -72,7 +74,7 @@ class Propagator:
             noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
         self.noise = (g * noise**2) @ g.T
         self.seen = (d * noise**2) @ d.T + np.diag(model.sensor_noise**2)
-        self._learned = _learned_spread(model.dynamics)
+        self._learned = _learned_spread(model.dynamics) if learned else None
 
     def run(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int) -> Iterator[Ahead]:
         """h = 1 .. horizon ahead of `origins` (m,), which have `horizon` samples after them.

@@ -5,7 +5,8 @@
    smoothed discrepancy, and with a broad kernel that knows nothing but the scales of the data.
 3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its prior are those that
    lower the errors of left-out flights most. Where none does, the result is the physics alone and says so.
-4. The growth of the uncertainty over the horizon is calibrated on the training flights.
+4. The filter's noise levels are refitted with the learned part in place, and the growth of the uncertainty over the
+   horizon is calibrated on the training flights.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_mod
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import Kernel, split_name
+from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
@@ -73,7 +75,10 @@ class Learned:
                 "cost_after": self.fit.cost_after, "held_out_gain": self.fit.held_out_gain,
                 "strengths": {n: s if np.isfinite(s) else None for n, s in self.fit.strengths.items()},
             },
-            "calibration": {"factors": dict(self.calibration.factors), "gain": self.calibration.gain},
+            "calibration": {
+                "factors": dict(self.calibration.factors), "learned": self.calibration.learned,
+                "gain": self.calibration.gain,
+            },
             "training": [dict(t) for t in self.training],
             "trained_on": list(self.model.trained_on),
             "data_hash": self.model.data_hash,
@@ -96,7 +101,7 @@ class Learned:
             )
         lines += [f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()]
         factors = ", ".join(f"{n} x {f:.2f}" for n, f in self.calibration.factors.items())
-        lines.append(f"uncertainty ahead, process noise: {factors}")
+        lines.append(f"uncertainty ahead, process noise: {factors}; learned part x {self.calibration.learned:.2f}")
         return "\n".join(lines)
 
 
@@ -158,12 +163,32 @@ def learn(
         found[f"{label}, broad kernel"] = broad_posterior(seen, points=size, seed=seed)
     result, chosen, gains = fit_open_loop(base, found, train, progress=lambda text, share: say(text, 0.4 + 0.4 * share))
     null = result.status == "null"
-    hybrid = base if null else replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=result.posterior))
+    posterior = result.posterior
+    hybrid = base
+    if not null:
+        say("noise levels", 0.85)
+        hybrid = refit_noise(replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train)
     say("calibration", 0.9)
     calibration = calibrate_horizons(hybrid, train)
+    final = calibration.model
+    if not null:
+        calibration = _less_optimistic(calibration, result)
+        posterior = posterior.with_spread(calibration.learned)
+        final = replace(calibration.model, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
     return Learned(
-        model=calibration.model, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
+        model=final, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
         calibration=calibration, seconds=time.perf_counter() - began, training=tuple(reports),
+    )  # fmt: skip
+
+
+def _less_optimistic(calibration: Calibration, result: OpenLoopFit) -> Calibration:
+    """The calibration for errors of flights that the weights were not fitted to: larger by the root of the costs' ratio."""
+    inside = result.cost_after / result.cost_before
+    ratio = float(np.sqrt(max(1.0, (1.0 - result.held_out_gain) / inside)))
+    assert calibration.model.horizon_noise is not None
+    return replace(
+        calibration, model=replace(calibration.model, horizon_noise=ratio * calibration.model.horizon_noise),
+        factors={n: ratio * v for n, v in calibration.factors.items()}, learned=ratio * calibration.learned,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ import io
 import os
 import zipfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -265,6 +265,10 @@ class GPPosterior:
         if noise not in self.group_noise:
             raise UnknownNameError("group of the GP's noise", str(noise), self.group_noise)
         return self.group_noise[noise]
+
+    def with_spread(self, factor: float) -> GPPosterior:
+        """The same mean with `factor` > 0 times the standard deviation, near the data and far from it."""
+        return replace(self, output_scale=self.output_scale * factor, weights=self.weights / factor)
 
     def function(
         self,

@@ -4,11 +4,12 @@ The filter's noise levels are those of one-step errors. Over a horizon the discr
 first-order disturbance does not catch, and an estimate of its level from one step ahead is too small (or too large) at
 half a second. The covariance h samples ahead is affine in the squared levels,
 
-    Sigma_h = Sigma_h(filter error, parameters, learned part) + sum_g kappa_g^2 Sigma_h(noise of group g),
+    Sigma_h = Sigma_h(filter error, parameters) + sum_g kappa_g^2 Sigma_h(noise of group g) + kappa_l^2 Sigma_h(learned)
 
-so that the factors kappa_g of the groups (force, torque, ...) follow from the multi-step errors of the training flights by
-maximum likelihood at little cost. The filter keeps its own levels. Flights of one craft differ in how rough they are; where
-the first seconds of a new flight are there, the factors are corrected on them, with one as prior.
+so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned part follow from the
+multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels. Flights of
+one craft differ in how rough they are; where the first seconds of a new flight are there, the factors are corrected on
+them, with one as prior.
 
 (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated physics of the error growth
 stays.)
@@ -41,11 +42,13 @@ ROUGHNESS = 0.3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """The model with `horizon_noise`, the factor of every noise group, and the mean density gained [nat per error]."""
+    """The model with `horizon_noise`, the factor of every noise group, the mean density gained [nat per error], and the
+    factor on the standard deviation of the learned part, which is left to the caller (1 without one)."""
 
     model: IdentifiedModel
     factors: Mapping[str, float]
     gain: float
+    learned: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +69,7 @@ def calibrate_horizons(
     accelerometer, whose errors are its own noise, is left out where anything else is measured. Raises `DataError` where
     no flight is long enough.
     """
-    work = _Parts(Filter(model), model.process_noise)
+    work = _Parts(Filter(model), model.process_noise, split_learned=True)
     found: list[_Errors] = []
     for flight in data:
         for segment in flight.segments:
@@ -82,10 +85,12 @@ def calibrate_horizons(
     def cost(log_factors: FloatArray) -> float:
         return float(np.mean([_density(f, np.exp(2 * log_factors)) for f in found]))
 
-    factors, best = work.solve(cost)
+    limits = [LIMITS] * len(work.groups) + [(LIMITS[0], 1.0)] * work.split_learned
+    factors, best = _solve(cost, limits)
     return Calibration(
         model=replace(model, horizon_noise=model.process_noise * factors[work.members]),
-        factors=dict(zip(work.groups, factors.tolist(), strict=True)), gain=cost(np.zeros(factors.size)) - best,
+        factors=dict(zip(work.groups, factors.tolist(), strict=False)), gain=cost(np.zeros(factors.size)) - best,
+        learned=float(factors[-1]) if work.split_learned else 1.0,
     )  # fmt: skip
 
 
@@ -101,12 +106,13 @@ def flight_roughness(
     """Factor of every noise group for one flight, from the first `samples` of a filtered segment.
 
     Maximum a posteriori: the errors of these samples (windows that overlap count once), with a factor of one and a
-    between-flight spread of `ROUGHNESS` (logarithmic) as prior. All ones where there is too little to see. Multiplies the
-    model's horizon noise. `extra` as in `Propagator`.
+    between-flight spread of `ROUGHNESS` (logarithmic) as prior. Never below one: parameters were fitted to the same
+    seconds, and a calm start promises nothing. All ones where there is too little to see. Multiplies the model's horizon
+    noise. `extra` as in `Propagator`.
     """
     model, dt = runner.model, filtered.record.dt
     levels = model.process_noise if model.horizon_noise is None else model.horizon_noise
-    work = _Parts(runner, levels, extra)
+    work = _Parts(runner, levels, extra=extra)
     step = max(1, round(spacing / dt))
     origins = np.arange(step, min(samples, filtered.record.n) - max(horizons) - 1, step)
     found = work.errors(filtered, origins, horizons) if origins.size else []
@@ -119,7 +125,7 @@ def flight_roughness(
         density = sum(_density(f, np.exp(2 * log_factors)) for f in found)
         return share * density + float(np.sum(log_factors**2)) / (2 * ROUGHNESS**2)
 
-    factors, _ = work.solve(cost)
+    factors, _ = _solve(cost, [(1.0, LIMITS[1])] * len(work.groups))
     return dict(zip(work.groups, factors.tolist(), strict=True))
 
 
@@ -131,20 +137,34 @@ def rough_noise(model: IdentifiedModel, roughness: Mapping[str, float]) -> Float
 
 
 class _Parts:
-    """Errors ahead of origins with the parts of their covariance, by noise group."""
+    """Errors ahead of origins with the parts of their covariance: noise groups, then (`split_learned`) the learned part."""
 
-    def __init__(self, runner: Filter, levels: FloatArray, extra: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        runner: Filter,
+        levels: FloatArray,
+        *,
+        extra: Mapping[str, float] | None = None,
+        split_learned: bool = False,
+    ) -> None:
         model = runner.model
         heads = [n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names]
         self.runner = runner
         self.groups = list(dict.fromkeys(heads))
         self.members = np.array([self.groups.index(h) for h in heads])
         self.blocks = _blocks(model)
+        self.split_learned = split_learned and hasattr(model.dynamics, "learned_variance")
         none = np.zeros_like(levels)
-        variants = [none, *(np.where(self.members == g, levels, 0.0) for g in range(len(self.groups)))]
-        # First everything but the noise, then the same without parameters, then one noise group at a time.
-        self.propagators = [Propagator(runner, extra=extra, noise=none)]
-        self.propagators += [Propagator(runner, parameters=False, noise=v) for v in variants]
+        # What no factor touches, the filter's error alone, then one part at a time on top of it.
+        self.propagators = [
+            Propagator(runner, extra=extra, noise=none, learned=not self.split_learned),
+            Propagator(runner, parameters=False, noise=none, learned=False),
+        ]
+        for g in range(len(self.groups)):
+            own = np.where(self.members == g, levels, 0.0)
+            self.propagators.append(Propagator(runner, parameters=False, noise=own, learned=False))
+        if self.split_learned:
+            self.propagators.append(Propagator(runner, parameters=False, noise=none))
 
     def errors(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]) -> list[_Errors]:
         """Per horizon and channel block; nothing where a prediction is not finite."""
@@ -164,11 +184,13 @@ class _Parts:
                     found.append(_Errors(e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
         return found
 
-    def solve(self, cost: Callable[[FloatArray], float]) -> tuple[FloatArray, float]:
-        """(factors (n_groups,), least cost)."""
-        start = np.zeros(len(self.groups))
-        best = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=[tuple(np.log(LIMITS))] * start.size)
-        return np.exp(best.x), float(best.fun)
+
+def _solve(cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, float]]) -> tuple[FloatArray, float]:
+    """(factors, least cost) within limits, from one."""
+    best = scipy.optimize.minimize(
+        cost, np.zeros(len(limits)), method="L-BFGS-B", bounds=[tuple(np.log(limit)) for limit in limits]
+    )
+    return np.exp(best.x), float(best.fun)
 
 
 def _blocks(model: IdentifiedModel) -> list[list[int]]:
