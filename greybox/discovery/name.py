@@ -94,16 +94,17 @@ def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[NestedFit | No
 
 
 def prune(nest: Nest, at: NestedFit, additions: Sequence[Addition]) -> tuple[NestedFit, list[Addition], list[str]]:
-    """Leave out, one by one, what was added before the last addition and is not needed next to what came later.
+    """Leave out, one by one, what is not needed next to the others.
 
+    The last addition is tried as well: it may only have led the others out of a local optimum.
     Returns the last fit, the additions with the effects that stay, and a sentence for every effect that went.
     """
     notes = []
-    for earlier in additions[:-1]:
+    for earlier in additions if len(additions) > 1 else ():
         for name in earlier.effects:
             smaller, gain = still_needed(nest, at, name)
             if smaller is not None:
-                notes.append(f"{name} was added first and is not needed next to the others (BIC {gain:.1f}): removed")
+                notes.append(f"{name} was added and is not needed next to the others (BIC {gain:.1f}): removed")
                 at = smaller
     kept = [replace(a, effects=tuple(e for e in a.effects if e in at.effects)) for a in additions]
     return at, [a for a in kept if a.effects], notes

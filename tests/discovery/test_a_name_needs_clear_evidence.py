@@ -127,7 +127,7 @@ def test_of_a_pair_the_one_that_is_needed_stays():
     pair = ("command_delay", "motor_lag")
     whole = ("center_of_mass_offset", *pair)
     bic = {(): 1000.0, pair: 500.0, whole: 100.0, ("center_of_mass_offset", "motor_lag"): 92.0}
-    bic |= {("center_of_mass_offset", "command_delay"): 400.0, ("center_of_mass_offset",): 900.0}
+    bic |= {("center_of_mass_offset", "command_delay"): 400.0, ("center_of_mass_offset",): 900.0, ("motor_lag",): 800.0}
     refits = Refits(bic)
     additions = [added(pair), added(("center_of_mass_offset",))]
     at, kept, notes = prune(cast(Nest, refits), cast(NestedFit, refits.refit(whole)), additions)
