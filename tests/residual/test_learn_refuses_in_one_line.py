@@ -34,7 +34,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 CASES = {
     "no such model": (["nowhere.json", "--train", "a.csv"], "nowhere.json"),
-    "a linear model": (["linear.json", "--train", "a.csv"], "schema"),
+    "a linear model that was cut off": (["linear.json", "--train", "a.csv"], "checksum"),
     "a hybrid": (["hybrid.json", "--train", "a.csv"], "already"),
     "no such log": (["model.json", "--train", "nowhere.csv"], "nowhere.csv"),
     "train is test": (["model.json", "--train", "a.csv", "--test", "a.csv"], "both train and test"),
