@@ -7,9 +7,7 @@ half a second. The covariance h samples ahead is affine in the squared levels,
     Sigma_h = Sigma_h(filter error, parameters) + sum_g kappa_g^2 Sigma_h(noise of group g) + kappa_l^2 Sigma_h(learned)
 
 so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned part follow from the
-multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels. Flights of
-one craft differ in how rough they are; where the first seconds of a new flight are there, the factors are corrected on
-them, with one as prior.
+multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels.
 
 (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated physics of the error growth
 stays.)
@@ -34,10 +32,6 @@ from greybox.validation.predictive import gaussian_nlpd
 
 HORIZONS = (5, 10, 20, 35, 50)
 LIMITS = (0.1, 10.0)
-EARLY = (2, 5, 10, 20)
-"""Horizons in samples on which the roughness of a new flight is judged: the seconds for it are few."""
-ROUGHNESS = 0.3
-"""Prior spread of the logarithm of a flight's noise level."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,48 +88,6 @@ def calibrate_horizons(
     )  # fmt: skip
 
 
-def flight_roughness(
-    runner: Filter,
-    filtered: Filtered,
-    samples: int,
-    *,
-    extra: Mapping[str, float] | None = None,
-    horizons: Sequence[int] = EARLY,
-    spacing: float = 0.1,
-) -> dict[str, float]:
-    """Factor of every noise group for one flight, from the first `samples` of a filtered segment.
-
-    Maximum a posteriori: the errors of these samples (windows that overlap count once), with a factor of one and a
-    between-flight spread of `ROUGHNESS` (logarithmic) as prior. Never below one: parameters were fitted to the same
-    seconds, and a calm start promises nothing. All ones where there is too little to see. Multiplies the model's horizon
-    noise. `extra` as in `Propagator`.
-    """
-    model, dt = runner.model, filtered.record.dt
-    levels = model.process_noise if model.horizon_noise is None else model.horizon_noise
-    work = _Parts(runner, levels, extra=extra)
-    step = max(1, round(spacing / dt))
-    origins = np.arange(step, min(samples, filtered.record.n) - max(horizons) - 1, step)
-    found = work.errors(filtered, origins, horizons) if origins.size else []
-    if not found:
-        return dict.fromkeys(work.groups, 1.0)
-    windows = [origins.size * step / h for h in horizons]
-    share = float(np.mean(windows)) * len(work.blocks) / len(found)
-
-    def cost(log_factors: FloatArray) -> float:
-        density = sum(_density(f, np.exp(2 * log_factors)) for f in found)
-        return share * density + float(np.sum(log_factors**2)) / (2 * ROUGHNESS**2)
-
-    factors, _ = _solve(cost, [(1.0, LIMITS[1])] * len(work.groups))
-    return dict(zip(work.groups, factors.tolist(), strict=True))
-
-
-def rough_noise(model: IdentifiedModel, roughness: Mapping[str, float]) -> FloatArray:
-    """Horizon noise (n_w) of the model with the factors of `flight_roughness`."""
-    levels = model.process_noise if model.horizon_noise is None else model.horizon_noise
-    heads = [n.removeprefix("disturbance.").split(".")[0] for n in model.dynamics.noises.names]
-    return levels * np.array([roughness.get(h, 1.0) for h in heads])
-
-
 class _Parts:
     """Errors ahead of origins with the parts of their covariance: noise groups, then (`split_learned`) the learned part."""
 
@@ -144,7 +96,6 @@ class _Parts:
         runner: Filter,
         levels: FloatArray,
         *,
-        extra: Mapping[str, float] | None = None,
         split_learned: bool = False,
     ) -> None:
         model = runner.model
@@ -157,7 +108,7 @@ class _Parts:
         none = np.zeros_like(levels)
         # What no factor touches, the filter's error alone, then one part at a time on top of it.
         self.propagators = [
-            Propagator(runner, extra=extra, noise=none, learned=not self.split_learned),
+            Propagator(runner, noise=none, learned=not self.split_learned),
             Propagator(runner, parameters=False, noise=none, learned=False),
         ]
         for g in range(len(self.groups)):

@@ -23,8 +23,7 @@ class Validation:
     `table` holds the model's multi-step errors from the filter's state, `persistence` and `dead_reckoning` the rows
     beside it, `measured_start` the model started from the measured state; None where there is nothing to compute.
     `one_step`, `coverage` per channel; `whiteness` and `cross_correlation` of the normalised innovations.
-    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`; `roughness` the
-    factors on its horizon noise from the same seconds.
+    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`.
     """
 
     model: str
@@ -42,7 +41,6 @@ class Validation:
     coverage: Mapping[str, Sequence[Coverage]] = field(default_factory=dict)
     adapted_seconds: float | None = None
     adaptation: Mapping[str, Adaptation] = field(default_factory=dict)
-    roughness: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -62,7 +60,6 @@ class Validation:
         if self.adapted_seconds is not None:
             adapted = {
                 "seconds": self.adapted_seconds, "flights": {n: a.to_dict() for n, a in self.adaptation.items()},
-                "roughness": {n: dict(r) for n, r in self.roughness.items()},
             }  # fmt: skip
         return {
             "schema": SCHEMA,

@@ -22,7 +22,6 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
-from greybox.validation.calibration import flight_roughness, rough_noise
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator
 from greybox.validation.horizon_table import HorizonTable
@@ -59,8 +58,7 @@ def validate(
 
     `horizons` are numbers of samples. `adapt` [s]: per flight, the parameters with a value per flight and the initial
     state are fitted on its first seconds with everything else fixed (prior: the training flights), then frozen; origins
-    start after them, and dead reckoning takes its IMU biases from the same seconds; of a model with calibrated horizon
-    noise, how rough the flight is follows from them too. `measured_start` adds the row that
+    start after them, and dead reckoning takes its IMU biases from the same seconds. `measured_start` adds the row that
     starts from the measured state, smoothed velocities included, as the benchmark does. Origins are every `every`-th
     sample, `skip` seconds after the start of a segment at the earliest. `progress` gets a line per flight. Raises
     `DataError` (no usable flight, another sample time), `ModelError` (a smoothed channel is a measurement of the filter),
@@ -107,7 +105,6 @@ class _Work:
     warnings: list[str] = field(default_factory=list)
     flights: list[dict[str, object]] = field(default_factory=list)
     adaptation: dict[str, Adaptation] = field(default_factory=dict)
-    roughness: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.filter = Filter(self.model, use_compiler=self.use_compiler)
@@ -150,9 +147,6 @@ class _Work:
             late = segment.t >= after - 1e-9
             late[: max(3, round(self.skip / segment.dt)) - 1] = False
             self.one_step.add(flight.name, filtered, late)
-            if i == 0 and self.adapt is not None and self.model.horizon_noise is not None:
-                early = int(np.searchsorted(segment.t, after - 1e-9))
-                self.roughness[flight.name] = flight_roughness(self.filter, filtered, early, extra=spread)
             self._roll_out(flight.name, segment, filtered, late, bias, spread)
         self.flights.append(
             {"name": flight.name, "samples": flight.n, "seconds": flight.duration, "notes": list(flight.notes)}
@@ -199,8 +193,7 @@ class _Work:
         if not references:
             return
         engine = self.filter.engine
-        noise = rough_noise(self.model, self.roughness.get(name, {}))
-        propagator = Propagator(self.filter, extra=spread, noise=noise, use_compiler=self.use_compiler)
+        propagator = Propagator(self.filter, extra=spread, use_compiler=self.use_compiler)
         for at in range(0, len(origins), CHUNK):
             part = origins[at : at + CHUNK]
             predicted = predict_from(engine, self.reader, filtered, part, steps=self.steps)
@@ -311,7 +304,7 @@ class _Work:
             dead_reckoning=tables["dead reckoning"], measured_start=tables["measured start"],
             one_step=self.one_step.metrics(), whiteness=whiteness, cross_correlation=cross,
             coverage=self.one_step.coverage(), adapted_seconds=self.adapt, adaptation=self.adaptation,
-            roughness=self.roughness, warnings=tuple(self.warnings),
+            warnings=tuple(self.warnings),
         )  # fmt: skip
 
 
