@@ -30,7 +30,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.model.identified import library_versions
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
-    from greybox.residual.base_predictor import combined
+    from greybox.residual.decoupled import combined
     from greybox.residual.output_judge import judge
     from greybox.residual.output_residual import fit_output_residual, read_linear
 

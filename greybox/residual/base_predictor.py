@@ -8,20 +8,20 @@ runs the output residual of `greybox.residual.output_residual`: what g foretells
 
 Ahead of an origin the covariance of the state is that of the innovations still to come, and the GP's own error, which is
 the same function all along, is carried as a consider state (Schmidt 1966), both linearised along the predicted path.
+The file is long because one-step predictions, features and rollouts share one set of expressions.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg as sla
 
 from greybox.data import Flight, Segment
 from greybox.data.channel import channel, is_canonical
@@ -34,13 +34,12 @@ from greybox.estimation.record import hold_missing
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
-from greybox.model.matrices import Matrices
 from greybox.residual import features as model_features
+from greybox.residual.decoupled import Terms, free_entries
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import FloatArray, Layout, Signal, evaluate
 from greybox.validation.adapt import adapt_to_flight
 
-Terms = tuple[tuple[float, str], ...]
 Base = LinearModel | IdentifiedModel
 IMU = ("p", "q", "r", "ax", "ay", "az")
 START = 0.1
@@ -52,35 +51,7 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 CHUNK = 2000
 """Origins that are rolled out at once (bounds the memory)."""
 _LATE = re.compile(r"(?P<name>.+)\[t(-(?P<lag>[1-9]\d*))?\]")
-
-
-def combined(models: Sequence[LinearModel], channels: Mapping[str, Terms]) -> tuple[LinearModel, dict[str, Terms]]:
-    """Decoupled linear models as one, block by block, and the log columns of its inputs.
-
-    An input that several models share appears once per model, as "roll.ay" for the model of output ay, because delay and
-    operating point belong to the model. Raises `ModelError` for models that predict the same output or differ in `dt`.
-    """
-    if len(models) == 1:
-        return models[0], dict(channels)
-    names = [n for m in models for n in m.outputs.names]
-    if len(set(names)) != len(names) or len({m.dt for m in models}) > 1:
-        raise ModelError("linear models that do not fit together", expected="different outputs, one sample time")
-    often = [n for m in models for n in m.inputs.names]
-    inputs, terms = [], dict(channels)
-    for m in models:
-        for s in m.inputs:
-            name = f"{s.name}.{'.'.join(m.outputs.names)}" if often.count(s.name) > 1 else s.name
-            terms[name] = channels.get(s.name, ((1.0, s.name),))
-            inputs.append(replace(s, name=name))
-    blocks = [sla.block_diag(*(m.matrices[i] for m in models)) for i in range(5)]
-    whole = LinearModel(
-        name=", ".join(m.name for m in models), matrices=Matrices(*blocks),
-        noise=sla.block_diag(*(m.noise for m in models)), dt=models[0].dt, inputs=Layout(inputs),
-        outputs=Layout([s for m in models for s in m.outputs]), delays=tuple(d for m in models for d in m.delays),
-        input_offset=np.concatenate([m.input_offset for m in models]),
-        output_offset=np.concatenate([m.output_offset for m in models]),
-    )  # fmt: skip
-    return whole, {n: terms[n] for n in whole.inputs.names}
+_ERROR = re.compile(r"error\.(?P<name>.+)\[t-1\]")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,10 +126,7 @@ class BasePredictor:
     def parameters(self) -> int:
         """How many numbers were fitted: entries of a minimal form, or shared parameters and their values per flight."""
         if isinstance(self.model, LinearModel):
-            a, b, c, d, _ = self.model.matrices
-            # Free entries of A, B, C, K up to a change of state coordinates: n (m + 2 p) per decoupled part.
-            parts = _blocks(a, b, c)
-            return sum(len(i) * (len(j) + 2 * len(o)) for i, j, o in parts) + int(np.count_nonzero(d))
+            return free_entries(self.model)
         return len(self.model.covariance_names) + sum(len(v) for v in self.model.per_flight.values())
 
     @property
@@ -242,13 +210,17 @@ class BasePredictor:
 
     def feature_layout(self, names: Sequence[str]) -> Layout:
         """Units of features: `NAME[t-1]`, `NAME[t-2]`, ... a log column or phi, theta, psi so many samples before, `NAME[t]`
-        a command at t, anything else a predicted output or a signal of the predicted state.
+        a command at t, `error.NAME[t-1]` the model's own last one-step error, anything else a predicted output or a signal
+        of the predicted state.
 
         Raises `UnknownNameError`, and `ModelError` for a measurement of time t.
         """
         return Layout([Signal(name=n, unit=self._unit(n)) for n in names])
 
     def _unit(self, name: str) -> str:
+        last = _ERROR.fullmatch(name)
+        if last:
+            return self.dynamics.outputs.signals[self.dynamics.outputs[self.outputs[self._error(name)]]].unit
         late = _LATE.fullmatch(name)
         if late:
             if late["lag"] is None and late["name"] not in self.commands:
@@ -262,6 +234,14 @@ class BasePredictor:
             raise UnknownNameError("feature", name, [*own, *(f"{c}[t-1]" for c in self.commands)])
         return own[name]
 
+    def _error(self, name: str) -> int:
+        """Which output a feature `error.NAME[t-1]` belongs to."""
+        found = _ERROR.fullmatch(name)
+        assert found is not None
+        if found["name"] not in self.outputs:
+            raise UnknownNameError("feature", name, [f"error.{n}[t-1]" for n in self.outputs])
+        return self.outputs.index(found["name"])
+
     def _signals(self) -> dict[str, str]:
         outputs = {s.name: s.unit for s in self.dynamics.outputs if s.name in self.outputs}
         if isinstance(self.model, LinearModel):
@@ -274,7 +254,7 @@ class BasePredictor:
         missing."""
         out = []
         for name in names:
-            late = _LATE.fullmatch(name)
+            late = _column(name)
             if late is None:
                 continue
             column = late["name"]
@@ -286,12 +266,23 @@ class BasePredictor:
             out.append(np.concatenate([np.full(lag, np.nan), value[: segment.n - lag]]))
         return np.column_stack(out) if out else np.zeros((segment.n, 0))
 
+    def errors(self, segment: Segment, run: Run) -> FloatArray:
+        """One-step errors (n, n_o) of the sample before each, the last known one where it was not measured; NaN before the
+        first."""
+        e = np.where(run.known[:, None], segment.matrix(self.outputs) - run.mean, np.nan)
+        held, _ = hold_missing(e)
+        held[~np.logical_or.accumulate(np.isfinite(e), axis=0)] = np.nan
+        return np.vstack([np.full((1, e.shape[1]), np.nan), held[:-1]])
+
     def features(self, segment: Segment, run: Run, names: Sequence[str]) -> FloatArray:
         """Features (n, n_z) of every sample of a run; NaN where one is not known."""
         width = sum(self._width)
         windows = np.stack([run.inputs[k : k + segment.n] for k in range(width)], axis=1).reshape(segment.n, -1)
         states = np.where(run.known[:, None], run.states, 0.0)
-        z = evaluate(self._told(tuple(names), None), states, windows, self.given(segment, names), run.p, run.shift)
+        z = evaluate(
+            self._told(tuple(names), None), states, windows, self.given(segment, names), self.errors(segment, run), run.p,
+            run.shift,
+        )  # fmt: skip
         return np.where(run.known[:, None], z, np.nan)
 
     @property
@@ -305,7 +296,7 @@ class BasePredictor:
         return past, 1, future
 
     def _told(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
-        """(x, window, given, p, shift) -> z alone; with `posterior` or no names what a step of `rolled` needs."""
+        """(x, window, given, last errors, p, shift) -> z; with `posterior` or no names what a step of `rolled` needs."""
         cache = self.__dict__.setdefault("_functions", {})
         key = (names, id(posterior), bool(names) and posterior is None)
         if key not in cache:
@@ -321,6 +312,7 @@ class BasePredictor:
         y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
         table = {n: y[i] for i, n in enumerate(self.outputs)}
         own = [n for n in names if not _LATE.fullmatch(n)]
+        uses = _uses_errors(names)
         if isinstance(self.model, LinearModel):
             table |= {n: x[i] for i, n in enumerate(d.states.names)}
         else:
@@ -336,15 +328,19 @@ class BasePredictor:
 
         state = ca.MX.sym("x", len(d.states))
         flat = ca.MX.sym("U", len(d.inputs) * sum(self._width))
-        given = ca.MX.sym("given", len(names) - len(own))
+        given = ca.MX.sym("given", sum(_column(n) is not None for n in names))
         values, shift = ca.MX.sym("p", self._n_p), ca.MX.sym("shift", n_o)
         columns = ca.reshape(flat, len(d.inputs), sum(self._width))
-        error, reference = ca.MX.sym("d", len(d.error_states)), ca.MX.sym("reference", len(d.states))
-        mean, told, following = plain(plus(state, error), columns, values)
+        last, n_d = ca.MX.sym("last", n_o), len(d.error_states)
+        # The last errors, where the GP looks at them, are part of the state.
+        error, reference = ca.MX.sym("d", n_d + n_o * uses), ca.MX.sym("reference", len(d.states))
+        mean, told, following = plain(plus(state, error[:n_d]), columns, values)
         mean = mean + shift
         parts, i, j = [], 0, 0
         for n in names:
-            if _LATE.fullmatch(n):
+            if _ERROR.fullmatch(n):
+                parts.append((last + error[n_d:])[self._error(n)])
+            elif _LATE.fullmatch(n):
                 parts.append(given[j])
                 j += 1
             else:
@@ -352,8 +348,8 @@ class BasePredictor:
                 parts.append(told[i] + shift[self.outputs.index(n)] if moved else told[i])
                 i += 1
         z = ca.vertcat(*parts) if parts else ca.MX(0, 1)
-        arguments = [state, flat, given, values, shift]
-        still = ca.DM.zeros(len(d.error_states))
+        arguments = [state, flat, given, last, values, shift]
+        still = ca.DM.zeros(error.numel())
         if names and posterior is None:
             return ca.Function("features", arguments, [ca.densify(ca.substitute(z, error, still))])
         push, spread = ca.MX.zeros(n_o), ca.MX.zeros(n_o)
@@ -363,11 +359,12 @@ class BasePredictor:
         following = plus(following, self.gain[0][:, self.rows] @ push)
         mean = mean + push
         away = minus(following, reference)
+        moved_on = ca.vertcat(away, push) if uses else away
         around = ca.Function(
             "around", [error, reference, *arguments],
-            [mean, spread, following, ca.jacobian(mean, error), ca.jacobian(away, error)],
+            [mean, spread, push, following, ca.jacobian(mean, error), ca.jacobian(moved_on, error)],
         )  # fmt: skip
-        at = around(still, state, *arguments)[2]
+        at = around(still, state, *arguments)[3]
         out = around(still, at, *arguments)
         return ca.Function("step", arguments, [ca.densify(ca.vertcat(*(ca.vec(v) for v in out)))])
 
@@ -378,7 +375,8 @@ class BasePredictor:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_o) from origins k, with the GP `posterior` as mean of the innovations or None.
 
-        Measured features keep their value at k. NaN where nothing is known at k+1, and past the end.
+        Measured features keep their value at k; of the errors to come the GP's mean is expected. NaN where nothing is known
+        at k+1, and past the end.
         """
         k = np.asarray(origins, dtype=np.int64).ravel()
         if k.size and (k.min() < 0 or k.max() >= segment.n):
@@ -386,46 +384,53 @@ class BasePredictor:
         run = self.run(segment)
         names = () if posterior is None else posterior.inputs.names
         given = self.given(segment, names)
-        held = np.array([m["name"] not in self.commands for n in names if (m := _LATE.fullmatch(n))], dtype=bool)
+        held = np.array([m["name"] not in self.commands for n in names if (m := _column(n))], dtype=bool)
+        errors = self.errors(segment, run) if _uses_errors(names) else np.zeros(run.mean.shape)
         mean, variance = np.full((2, len(k), horizon, len(self.outputs)), np.nan)
         for at in range(0, len(k), CHUNK):
             part = slice(at, at + CHUNK)
-            mean[part], variance[part] = self._roll(segment.n, run, given, held, k[part], horizon, posterior)
+            mean[part], variance[part] = self._roll(run, given, held, errors, k[part], horizon, posterior)
         return mean, variance
 
     def _roll(
-        self, n: int, run: Run, given: FloatArray, held: npt.NDArray[np.bool_], k: npt.NDArray[np.int64], horizon: int,
-        posterior: GPPosterior | None,
+        self, run: Run, given: FloatArray, held: npt.NDArray[np.bool_], errors: FloatArray, k: npt.NDArray[np.int64],
+        horizon: int, posterior: GPPosterior | None,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         told = self._told(() if posterior is None else tuple(posterior.inputs.names), posterior)
         gain, cov = self.gain
-        rows, n_o, n_d, n_x = self.rows, len(self.outputs), gain.shape[0], len(self.dynamics.states)
+        rows, n, n_o, n_x = self.rows, len(run.mean), len(self.outputs), len(self.dynamics.states)
         if posterior is not None:
             # The noise of the GP is what is left of the innovations that it foretells.
             scale = np.ones(len(cov))
             scale[rows] = np.sqrt(posterior.noise / np.diag(cov)[rows])
             cov = cov * scale * scale[:, None]
+            if _uses_errors(posterior.inputs.names):
+                gain = np.vstack([gain, np.eye(len(cov))[rows]])
+        n_d = len(gain)
         fresh = gain @ cov @ gain.T
         own = np.diag(cov)[rows]
         mean, variance = np.full((2, len(k), horizon, n_o), np.nan)
         start = np.minimum(k + 1, n - 1)
-        live = np.flatnonzero((k + 1 < n) & run.known[start] & np.isfinite(given[start]).all(axis=1))
-        x = run.states[start[live]]
+        live = np.flatnonzero(
+            (k + 1 < n) & run.known[start] & np.isfinite(np.hstack([given, errors])[start]).all(axis=1)
+        )
+        x, last = run.states[start[live]], errors[start[live]]
         white, learned = np.zeros((len(live), n_d, n_d)), np.zeros((len(live), n_d, n_o))
         width = sum(self._width)
         for h in range(1, horizon + 1):
             row = k[live] + h
             keep = row < n
-            live, x, white, learned, row = live[keep], x[keep], white[keep], learned[keep], row[keep]
+            live, x, last, white, learned, row = live[keep], x[keep], last[keep], white[keep], learned[keep], row[keep]
             if not live.size:
                 break
             z = np.where(held, given[k[live] + 1], given[row])
             windows = run.inputs[row[:, None] + np.arange(width)].reshape(len(row), -1)
-            out = evaluate(told, x, windows, z, run.p, run.shift)
+            out = evaluate(told, x, windows, z, last, run.p, run.shift)
             mean[live, h - 1] = out[:, :n_o]
             sd = np.sqrt(np.maximum(out[:, n_o : 2 * n_o], 0.0))
-            x = out[:, 2 * n_o : 2 * n_o + n_x].copy()
-            at = 2 * n_o + n_x
+            last = out[:, 2 * n_o : 3 * n_o].copy()
+            at = 3 * n_o + n_x
+            x = out[:, 3 * n_o : at].copy()
             c = out[:, at : at + n_o * n_d].reshape(-1, n_d, n_o).swapaxes(1, 2)
             a = out[:, at + n_o * n_d :].reshape(-1, n_d, n_d).swapaxes(1, 2)
             now = c @ learned
@@ -436,26 +441,10 @@ class BasePredictor:
         return mean, variance
 
 
-def _blocks(a: FloatArray, b: FloatArray, c: FloatArray) -> list[tuple[list[int], list[int], list[int]]]:
-    """(states, inputs, outputs) of the parts of a model that do not touch each other."""
-    n = len(a)
-    left, out = set(range(n)), []
-    while left:
-        members, new = set(), {min(left)}
-        while new:
-            members |= new
-            i = sorted(members)
-            inputs, outputs = np.any(b[i] != 0, axis=0), np.any(c[:, i] != 0, axis=1)
-            linked = np.any(a[i] != 0, axis=0) | np.any(a[:, i] != 0, axis=1)
-            linked |= np.any(b[:, inputs] != 0, axis=1) | np.any(c[outputs] != 0, axis=0)
-            new = set(np.flatnonzero(linked).tolist()) - members
-        i = sorted(members)
-        out.append(
-            (
-                i,
-                np.flatnonzero(np.any(b[i] != 0, axis=0)).tolist(),
-                np.flatnonzero(np.any(c[:, i] != 0, axis=1)).tolist(),
-            )
-        )
-        left -= members
-    return out
+def _column(name: str) -> re.Match[str] | None:
+    """The match of a feature that is a column of the log."""
+    return None if _ERROR.fullmatch(name) else _LATE.fullmatch(name)
+
+
+def _uses_errors(names: Sequence[str]) -> bool:
+    return any(_ERROR.fullmatch(n) for n in names)

@@ -15,8 +15,9 @@
 Candidates are judged on training flights that were held back for it; nothing looks at the test flights. The commands that
 linear models, black boxes and residuals use for y(t) end one sample before t. Black boxes see rates, specific force, body
 velocity and direction of gravity (`black_box_view`), predict all of them, and get their pose by the kinematics of
-`greybox.residual.kinematics`; linear models predict the IMU and get theirs likewise. The one-step variance of a model of
-motion is scaled per channel to its errors on the training flights, where those of the other methods come from too.
+`greybox.residual.kinematics`; linear models and output residuals predict the IMU and get theirs likewise. The one-step
+variance of a model of motion is scaled per channel to its errors on the training flights, where those of the other methods
+come from too.
 """
 
 from __future__ import annotations

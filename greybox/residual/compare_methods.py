@@ -16,15 +16,14 @@ import numpy as np
 
 from greybox.data import Segment
 from greybox.estimation.record import hold_missing
-from greybox.model.identified import IdentifiedModel
 from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.residual.learn import learn
-from greybox.residual.output_residual import OutputHybrid, fit_output_residual, output_features, with_measured_noise
+from greybox.residual.output_residual import fit_output_residual, output_features, with_measured_noise
 from greybox.symbolic import FloatArray
 
-KERNELS = ("se", "matern52")
+KERNELS = ("se", "linear+se")
 POINTS = (100, 200)
 NARX_LAGS = (2, 4)
 """Lags that the search of the GP alone draws from (both of outputs and inputs)."""
@@ -109,21 +108,7 @@ def _output_hybrid(bench: Bench, base: BasePredictor, choices: Mapping[str, Sequ
     )  # fmt: skip
     seconds = base.train_seconds + time.perf_counter() - began
     settings = {**best, "null": [n for n, a in zip(final.outputs, final.posterior.active) if not a]}
-    return _finish(bench, label, final, seconds, tried, settings)
-
-
-def _finish(
-    bench: Bench, label: str, final: OutputHybrid, seconds: float, tried: Sequence[Mapping[str, Any]],
-    settings: Mapping[str, Any],
-) -> Outcome:  # fmt: skip
-    if not isinstance(final.base.model, IdentifiedModel):
-        return bench.outcome(label, final, views=False, seconds=seconds, search=tried, settings=settings)
-    # Of a model of motion the multi-step table is that of the model itself: the output residual foretells channels.
-    mean, variance, microseconds = bench.channels_of(final, bench.segments)
-    return Outcome(
-        mean=mean, variance=variance, table=None, parameters=final.parameters, seconds=seconds,
-        microseconds=microseconds, search=tried, settings=settings,
-    )  # fmt: skip
+    return bench.outcome(label, final, views=False, seconds=seconds, search=tried, settings=settings)
 
 
 def _linear_hybrid(bench: Bench) -> Outcome:
@@ -133,10 +118,8 @@ def _linear_hybrid(bench: Bench) -> Outcome:
 
 
 def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
-    """What is known at t-1 of the prediction alone, or also the last two samples of the outputs, as black boxes see them
-    (sensors with memory, resampled packets)."""
-    past = tuple(f"{n}[t-{lag}]" for lag in (1, 2) for n in bench.outputs)
-    return {"prediction": tuple(plain), "prediction and last samples": (*plain, *past)}
+    """What is predicted alone, or also the model's last errors: black boxes see their last samples too."""
+    return {"prediction": tuple(plain), "and last errors": (*plain, *(f"error.{n}[t-1]" for n in bench.outputs))}
 
 
 def _nonlinear_output(bench: Bench) -> Outcome:

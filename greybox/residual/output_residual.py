@@ -6,8 +6,9 @@ which hold the measurement that is to be predicted. Here z holds what is known b
 computes it from y(t), so that it gives the noise of y(t) away, and it is left out by default. So is psi: nothing that flies
 in free air feels where north is.
 
-r is the mean of the next innovation. In a free run it therefore moves the state as a measured innovation would
-(`greybox.residual.base_predictor`).
+Where errors are correlated in time (sensors with memory, resampled packets) the model's own last errors foretell more than
+anything else: `error.ax[t-1]`. r is the mean of the next innovation. In a free run it therefore moves the state as a
+measured innovation would (`greybox.residual.base_predictor`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.linear import LinearModel
-from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor, Terms, combined
+from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor
+from greybox.residual.decoupled import Terms, combined
 from greybox.residual.features import default_features
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.regressors import segments_of
@@ -240,7 +242,8 @@ def fit_output_residual(
     units = {s.name: s.unit for s in base.dynamics.outputs}
     trained = train_gp(
         z, r, inputs=layout, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), kernel=kernel,
-        points=points, seed=seed, groups=flights, hold_out=hold_out, progress=progress,
+        points=points, seed=seed, groups=flights, hold_out=hold_out,
+        noise_inflation=1.0, progress=progress,
     )  # fmt: skip
     settings = {"features": list(names), "kernel": kernel, "points": points}
     return OutputHybrid(

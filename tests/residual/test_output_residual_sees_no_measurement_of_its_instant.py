@@ -19,7 +19,8 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.model.model import build_model
-from greybox.residual.base_predictor import BasePredictor, combined
+from greybox.residual.base_predictor import BasePredictor
+from greybox.residual.decoupled import combined
 from greybox.residual.files import load_model
 from greybox.residual.output_residual import OutputHybrid, fit_output_residual
 from greybox.symbolic import Layout, Signal
@@ -135,6 +136,40 @@ def test_the_spread_of_a_free_run_is_that_of_simulated_futures(trained):
     assert variance[0, :, 0] == pytest.approx(drawn.var(axis=0), rel=0.2)
 
 
+def test_last_errors_foretell_coloured_noise_and_their_spread_runs_on():
+    """A sensor with memory: the innovation is 0.8 of the last one plus white noise. Free runs against Monte Carlo."""
+
+    def coloured(seed, n=1500):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(0, 1, (n // 20, 2)), 20, axis=0)
+        x, e, p = 0.0, 0.0, np.zeros(n)
+        for k in range(n):
+            e = 0.8 * e + 0.01 * rng.standard_normal()
+            p[k] = x + 0.1 + e
+            x = 0.9 * x + 0.5 * ((u[k - 1] if k else u[0]) @ [1, -1] - 0.2) + 0.3 * e
+        return dataset_from_arrays(DT * np.arange(n), {"u1": u[:, 0], "u2": u[:, 1], "p": p}, name=f"f{seed}")
+
+    model = replace(linear(), delays=(1,))
+    hybrid = fit_output_residual(
+        model, coloured(1) + coloured(2), channels=CHANNELS, features=("error.p[t-1]",), kernel="linear+se", points=20
+    )
+    segment = coloured(7).segments[0]
+    y, (mean, _) = segment.matrix(("p",)), hybrid.one_step(segment)
+    assert np.sqrt(np.nanmean((y - mean)[100:] ** 2)) == pytest.approx(0.01, rel=0.08)
+    horizon, runs, rng = 12, 4000, np.random.default_rng(0)
+    ahead, spread = hybrid.free_run(segment, [300], horizon)
+    assert ahead[0, 0] == pytest.approx(mean[301])
+    run = hybrid.base.run(segment)
+    x, e = np.full(runs, run.states[301, 0]), np.full(runs, y[300, 0] - run.mean[300, 0])
+    u, drawn = segment.channels["u1"] - segment.channels["u2"] - 0.2, np.empty((runs, horizon))
+    for h in range(horizon):
+        e = 0.8 * e + 0.01 * rng.standard_normal(runs)
+        drawn[:, h] = x + 0.1 + e
+        x = 0.9 * x + 0.5 * u[300 + h] + 0.3 * e
+    assert ahead[0, :, 0] == pytest.approx(drawn.mean(axis=0), abs=0.01)
+    assert spread[0, :, 0] == pytest.approx(drawn.var(axis=0), rel=0.25)
+
+
 def test_decoupled_models_are_one(trained):
     both, channels = combined([linear("a", "p"), linear("b", "q", gain=0.1, delay=3)], CHANNELS)
     assert both.inputs.names == ("roll.p", "roll.q")
@@ -166,8 +201,9 @@ def test_what_it_may_not_see_is_refused():
     base = BasePredictor(model=linear(), channels=CHANNELS)
     with pytest.raises(ModelError, match="measurement of the predicted instant"):
         base.feature_layout(("q[t]",))
-    with pytest.raises(UnknownNameError):
-        base.feature_layout(("height",))
+    for name in ("height", "error.q[t-1]"):
+        with pytest.raises(UnknownNameError):
+            base.feature_layout((name,))
     assert base.feature_layout(("u1[t]", "q[t-1]", "x1", "p")).units[1] == "rad/s"
 
 
