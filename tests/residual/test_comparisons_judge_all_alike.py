@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from xml.etree import ElementTree
 
 import jsonschema
 import numpy as np
@@ -81,6 +82,8 @@ def test_the_page_and_the_table_name_every_method(results):
         assert m["method"] in page
         assert m["method"] in text
     assert "ZeroDivisionError" in page
+    ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
+    assert page.count("PIT histogram of") >= 2
     assert "h=50" in text
 
 
