@@ -34,7 +34,7 @@ def test_derivatives_of_the_reference_are_those_of_its_path():
 
 
 def test_the_reference_needs_less_tilt_than_is_allowed():
-    a = REFERENCE.acceleration + [0.0, 0.0, 9.80665]
+    a = REFERENCE.acceleration + np.array((0.0, 0.0, 9.80665))
     tilt = np.arctan2(np.hypot(a[:, 0], a[:, 1]), a[:, 2])
     assert 0.6 < tilt.max() < OBSTACLE_COURSE.tilt_max
 
