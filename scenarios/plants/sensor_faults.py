@@ -72,13 +72,17 @@ def delayed(log: Columns, columns: Iterable[str], delay: float) -> Log:
 
 
 def low_passed(log: Columns, columns: Iterable[str], cutoff: float) -> Log:
-    """First-order low-pass at `cutoff` [Hz], exact for inputs held over the sample."""
+    """First-order low-pass at `cutoff` [Hz], exact for inputs that are linear over the sample; slow signals come
+    1/(2 pi cutoff) late."""
     out = _copy(log)
-    keep = float(np.exp(-2.0 * np.pi * cutoff * _sample_time(log)))
+    x = 2.0 * np.pi * cutoff * _sample_time(log)
+    keep = float(np.exp(-x))
+    new, old = 1.0 - (1.0 - keep) / x, (1.0 - keep) / x - keep
     for name in columns:
+        raw = log[name]
         values = out[name]
         for k in range(1, len(values)):
-            values[k] = keep * values[k - 1] + (1.0 - keep) * values[k]
+            values[k] = keep * values[k - 1] + new * raw[k] + old * raw[k - 1]
     return out
 
 
@@ -98,6 +102,26 @@ def jittered_clock(log: Columns, sigma: float, rng: np.random.Generator) -> Log:
     out = _copy(log)
     limit = 0.45 * _sample_time(log)
     out["t"] = out["t"] + np.clip(sigma * rng.standard_normal(out["t"].size), -limit, limit)
+    return out
+
+
+def uneven(log: Columns, columns: Iterable[str], delay: float, jitter: float, rng: np.random.Generator) -> Log:
+    """Rows of a stream that show what was `delay` [s] and, drawn for every row, up to `jitter` samples earlier.
+
+    Linear interpolation of the record; before its start the first value holds. Quaternions keep unit length.
+    """
+    out = _copy(log)
+    names = tuple(columns)
+    time = log["t"]
+    then = time - delay - jitter * _sample_time(log) * rng.random(time.size)
+    for name in names:
+        flat = out[name].reshape(len(time), -1)
+        out[name] = np.stack([np.interp(then, time, c) for c in flat.T], axis=-1).reshape(out[name].shape)
+    turns = [n for n in ("qw", "qx", "qy", "qz") if n in names]
+    if len(turns) == 4:
+        length = np.sqrt(sum(out[n] ** 2 for n in turns))
+        for n in turns:
+            out[n] = out[n] / length
     return out
 
 

@@ -1,0 +1,180 @@
+"""Realistic sensors: does discover still tell physics from what only sensors do?
+
+    python -m scenarios.studies.discovery_sensors [--cells all:clean low_pass:clean all:motor_lag ...] [--seeds 1 2]
+        [--vehicle x250] [--out F.jsonl] [--summary]
+
+A cell is INGREDIENTS:EFFECT: what the sensors do to the log (scenarios.plants.realistic_sensors; "all", "none", or
+ingredients joined by +) and the hidden effect ("clean" hides nothing). Vehicle, flights, sizes and wrong nominal
+values are those of discovery_grid; logs go through CSV files, checks and conditioning, as a user's do. Seeds below 1000
+were looked at while the code was written; results that are quoted come from seeds of 1000 and more. One line is written
+per cell as soon as it is done; a study that was stopped goes on where it was.
+
+    physics    names of the stages command, rotor, thrust, body and wrench that are not hidden
+    sensor     names of the sensor stage that are neither hidden nor put there by the ingredients
+    right      no false physics, nothing unnamed, and the hidden effect has its name (or is in a group)
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.data.checks import check_logs
+from greybox.data.logs import read_logs
+from greybox.discovery.workflow import Discovery, discover
+from greybox.model.effects import CATALOGUE
+from scenarios.excitation.injection import rich_excitation
+from scenarios.excitation.waypoints import RandomWaypoints
+from scenarios.plants.flight_log import fly, member, write_log
+from scenarios.plants.presets import NANO, X250, controller_for
+from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
+from scenarios.studies.discovery_grid import MAKERS, cases, vehicle_of
+
+EXPECTED = {
+    "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
+}  # fmt: skip
+"""Names of the sensor stage that an ingredient makes true."""
+SINGLES = tuple(c for c in cases(X250) if c != "clean")
+
+
+def realism_of(ingredients: str) -> Realism:
+    """The set that a cell's first part names."""
+    if ingredients == "all":
+        return REALISTIC
+    return REALISTIC.only(*(() if ingredients == "none" else ingredients.split("+")))
+
+
+def logs(folder: Path, plant: Any, realism: Realism, seeds: Sequence[int], seconds: float, name: str) -> list[Path]:
+    """One CSV per seed, without rotor speeds, as the sensors of `realism` would have kept it."""
+    log = fly(
+        plant, controller_for(plant), RandomWaypoints(), rich_excitation(), seconds, seed=list(seeds), warm_up=1.0
+    )
+    paths = []
+    for i, seed in enumerate(seeds):
+        kept = realistic(member(log, i), plant.sensors, realism, seed)
+        paths.append(write_log(folder / f"{name}{i}.csv", kept, drop=["omega"]))
+    return paths
+
+
+def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float = 16.0) -> dict[str, Any]:
+    """One cell as plain values."""
+    frame = {"x250": X250, "nano": NANO}[vehicle]
+    plant = MAKERS[vehicle](cases(frame)[effect])
+    realism = realism_of(ingredients)
+    first = 1000 * seed
+    with tempfile.TemporaryDirectory() as folder:
+        train = logs(Path(folder), plant, realism, (first + 1, first + 2), seconds, "train")
+        test = logs(Path(folder), plant, realism, (first + 101,), seconds, "test")
+        file = vehicle_of(plant)
+        data: list[Dataset] = [read_logs(paths, file) for paths in (train, test)]
+        found = discover(file, data[0], data[1], faults=check_logs([*train, *test], file))
+    content = found.to_dict()
+    row = {
+        "vehicle": vehicle, "ingredients": ingredients, "effect": effect, "seed": seed, "verdict": found.verdict,
+        "effects": {e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()} for e in content["effects"]},
+        "p_value": {e["name"]: e["p_value"] for e in content["effects"]},
+        "delta_bic": {e["name"]: e["delta_bic"] for e in content["effects"]},
+        "groups": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
+        "truth": {k: float(v) for e in plant.effects for k, v in e.parameters().items()},
+        "sensors": content.get("sensors", []), "unnamed": [u["proposal"] for u in content["unnamed"]],
+        "deficiency": content["deficiency"], "faults": content["faults"], "warnings": content["warnings"],
+        "seconds": found.seconds,
+    }  # fmt: skip
+    return row | judge(row, found)
+
+
+def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]:
+    """What is false in a row, and whether it is right."""
+    stage = {e.name: e.stage for e in CATALOGUE}
+    truth = set() if row["effect"] == "clean" else {row["effect"]}
+    on = realism_of(row["ingredients"]).switched_on
+    allowed = truth.union(*(EXPECTED.get(i, set()) for i in on))
+    names = set(row["effects"])
+    groups = [{n for c in g for n in c.split("+")} for g in row["groups"]]
+    wrong = {n for n in names if n not in allowed}
+    for g in groups:
+        if not g & allowed:
+            wrong |= g
+    physics = sorted(n for n in wrong if stage.get(n) != "sensor")
+    sensor = sorted(n for n in wrong if stage.get(n) == "sensor")
+    named = truth <= names.union(*groups)
+    right = not physics and not row["unnamed"] and named and row["verdict"] != "bad_data"
+    return {"physics": physics, "sensor": sensor, "named": named, "right": right}
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a rate (Wilson 1927, J. American Statistical Association 22)."""
+    if not n:
+        return 0.0, 1.0
+    z, p = 1.96, k / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    return float(max(centre - half, 0.0)), float(min(centre + half, 1.0))
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> str:
+    """Rates per set of ingredients, clean logs and single effects apart."""
+    cells: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for r in rows:
+        kind = "clean" if r["effect"] == "clean" else "single"
+        cells[(r["ingredients"], kind)].append(r | judge(r))
+    lines = [
+        f"{'sensors':14s} {'logs':7s} {'n':>4s} {'right':>22s} {'false physics':>22s} {'unnamed':>22s}  false sensor"
+    ]
+    for (ingredients, kind), members in sorted(cells.items()):
+        n = len(members)
+        counts = [
+            sum(bool(r["right"]) for r in members), sum(bool(r["physics"]) for r in members),
+            sum(bool(r["unnamed"]) for r in members),
+        ]  # fmt: skip
+        text = " ".join(f"{k / n:7.1%} [{wilson(k, n)[0]:5.1%},{wilson(k, n)[1]:6.1%}]" for k in counts)
+        lines.append(f"{ingredients:14s} {kind:7s} {n:4d} {text}  {sum(bool(r['sensor']) for r in members)}")
+    return "\n".join(lines)
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row for the terminal."""
+    said = [*row["effects"], *(" or ".join(g) for g in row["groups"]), *(f"[{u}]" for u in row["unnamed"])]
+    models = sorted({f"{s['kind']} {s['channel']}" for s in row["sensors"]})
+    return (
+        f"{row['vehicle']} {row['seed']} {row['ingredients']}:{row['effect']}  {'right' if row['right'] else 'WRONG'}  "
+        f"{', '.join(said) or row['verdict']}; {'; '.join(models)}; {row['faults']} ({row['seconds']:.0f} s)"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run what is not in the file yet, then print the table."""
+    parser = argparse.ArgumentParser(description="Discovery on logs of realistic sensors.")
+    every = [f"{i}:clean" for i in ("none", *INGREDIENTS, "all")] + [f"all:{e}" for e in SINGLES]
+    parser.add_argument("--cells", nargs="+", default=every)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--vehicle", choices=tuple(MAKERS), default="x250")
+    parser.add_argument("--out", default="discovery_sensors.jsonl")
+    parser.add_argument("--summary", action="store_true", help="only print the table of what is there")
+    options = parser.parse_args(arguments)
+    path = Path(options.out)
+    rows = [json.loads(text) for text in path.read_text().splitlines()] if path.exists() else []
+    done = {(r["vehicle"], r["ingredients"], r["effect"], r["seed"]) for r in rows}
+    for seed in () if options.summary else options.seeds:
+        for cell in options.cells:
+            ingredients, effect = cell.split(":")
+            if (options.vehicle, ingredients, effect, seed) in done:
+                continue
+            row = run(options.vehicle, ingredients, effect, seed)
+            rows.append(row)
+            with path.open("a") as stream:
+                stream.write(json.dumps(row) + "\n")
+            print(line(row), flush=True)
+    print(summary(rows))
+
+
+if __name__ == "__main__":
+    main()
