@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.fit import names
+
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
@@ -27,6 +29,10 @@ def add(subparsers: Any) -> None:
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
                    help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
     p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
+    p.add_argument("--per-flight", type=names, default=(), metavar="a,b", help="parameters with one value per flight")
+    p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at the vehicle file's value")
+    p.add_argument("--hold-noise", choices=("none", "sensor"), default="none",
+                   help="sensor: hold the sensors' noise levels at those of the vehicle file")  # fmt: skip
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
     p.add_argument("--out", default="greybox-discover", metavar="DIR", help="folder for the results")
@@ -84,8 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
-                adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, seed=arguments.seed, faults=faults,
-                progress=progress, save=write,
+                adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
+                fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", seed=arguments.seed,
+                faults=faults, progress=progress, save=write,
             )  # fmt: skip
         except KeyboardInterrupt:
             if content:

@@ -7,7 +7,8 @@ last digit, and nothing is compiled twice.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -50,11 +51,12 @@ class NestedFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nest:
-    """Candidates on the training flights. `fixed_values` hold parameters of known effects that are not free."""
+    """Candidates on the training flights. `choices` are further arguments of every fit: `per_flight`, `estimate_noise`."""
 
     candidates: Candidates
     data: Dataset
     noise: Mapping[str, float] | None = None
+    choices: Mapping[str, Any] = field(default_factory=dict)
 
     def refit(
         self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[str, float] | None = None
@@ -73,7 +75,7 @@ class Nest:
         result = fit(
             self.candidates.model, self.data, free=free, values=values, build=self.candidates.build,
             noise=self.noise if start is None else noise_of(start.fit.model),
-            initialisation="noise" if start is None else "nominal",
+            initialisation="noise" if start is None else "nominal", **self.choices,
         )  # fmt: skip
         return NestedFit(effects=chosen, fit=result, parameters=len(free))
 
@@ -84,6 +86,7 @@ class Nest:
         problem = make_problem(
             self.candidates.model, self.data, predictor=Innovation(), criterion=Gaussian(), free=self.candidates.build,
             values={**self.candidates.null, **estimates}, noise=noise_of(at.fit.model), build=self.candidates.build,
+            **self.choices,
         )  # fmt: skip
         found = {(u.name, u.flight): t for u, t in zip(at.fit.problem.unknowns, at.fit.theta, strict=True)}
         theta: FloatArray = np.array(
@@ -96,7 +99,9 @@ class Nest:
         """The same estimates on the model that holds only the effects that were named (what is saved and flown)."""
         small = self.candidates.model.without_effect(*(n for n in self.candidates.names if n not in at.effects))
         free = [*self.candidates.core, *(p for e in at.effects for p in self.candidates.parameters[e])]
+        there = {d.name for d in small.parameters}
+        choices = {**self.choices, "per_flight": [n for n in self.choices.get("per_flight", ()) if n in there]}
         return fit(
             small, self.data, free=free, values={n: e.value for n, e in at.fit.parameters.items()},
-            noise=noise_of(at.fit.model), initialisation="nominal",
+            noise=noise_of(at.fit.model), initialisation="nominal", **choices,
         )  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from greybox.discovery.name import Addition, next_addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
 from greybox.discovery.spectrum import Spectrum, spectrum
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
@@ -216,6 +216,9 @@ def discover(
     max_effects: int = 8,
     adapt: float | None = None,
     kinematic_noise: bool = False,
+    per_flight: Iterable[str] = (),
+    fixed: Iterable[str] = (),
+    hold_sensor_noise: bool = False,
     seed: int = 0,
     faults: CheckReport | None = None,
     progress: Progress | None = None,
@@ -224,9 +227,10 @@ def discover(
     """Find, name and add what the model of `vehicle` misses on the flights of `train`; judge on `test`.
 
     alpha: family-wise level of a name. `own`: effects besides the catalogue. `adapt` [s]: per-flight parameters of test
-    flights are fitted on their first seconds. `faults`: what `check_logs` said about the files (by default the data sets
-    are checked, which no longer show faults of their clock). `save` gets what is known after every step, so that an
-    interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
+    flights are fitted on their first seconds. `per_flight` parameters get one value per flight, `fixed` ones stay at that
+    of the vehicle file, `hold_sensor_noise` keeps the sensors' levels there too. `faults`: what `check_logs` said about
+    the files (by default the data sets are checked, which no longer show faults of their clock). `save` gets what is
+    known after every step, so that an interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
@@ -241,7 +245,13 @@ def discover(
         kinematic_noise=kinematic_noise,
     )  # fmt: skip
     settings["sample_time"] = offered.model.sample_time
-    nest = Nest(candidates=offered, data=train)
+    per_flight, fixed = tuple(per_flight), set(fixed)
+    if wrong := {*per_flight, *fixed} - {d.name for d in offered.model.parameters}:
+        raise UnknownNameError("parameter", min(wrong), [d.name for d in offered.model.parameters])
+    offered = replace(offered, core=tuple(n for n in offered.core if n not in fixed))
+    choices = {"per_flight": per_flight, "estimate_noise": "process" if hold_sensor_noise else True}
+    settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
+    nest = Nest(candidates=offered, data=train, choices=choices)
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
         if save is not None:
