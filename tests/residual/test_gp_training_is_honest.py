@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("gpytorch")
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual import torch_gp
+from greybox.residual.judgement import CHANCE, better_by_chance
 from greybox.residual.kernels import Kernel
 from greybox.residual.train import train_gp
 from tests.residual.gp_cases import layout
@@ -43,6 +44,20 @@ def test_a_curve_is_learnt_and_noise_is_not():
     assert curve.rmse < 0.5 * curve.rmse_constant and curve.gain > curve.gain_error
     assert any("y1" in w for w in trained.report.warnings)
     assert curve.lengthscales[1] > 5 * curve.lengthscales[0] / 15  # the idle input does not matter
+
+
+def test_a_gain_in_few_blocks_counts_and_luck_does_not():
+    """Ten blocks that all gain, one of them most of it: less than two standard errors, and yet no accident."""
+    block = np.repeat(np.arange(10), 20)
+    level = np.array([0.4, 0.2, 0.1, 0.1, 1.0, 3.5, 0.5, 0.1, 0.3, 0.3])
+    assert level.mean() < 2.0 * level.std(ddof=1) / np.sqrt(10)
+    assert better_by_chance(level[block], block) == pytest.approx(2.0**-10)
+    assert better_by_chance(np.where(level > 3, level, -0.2)[block], block) > 0.2
+    rng = np.random.default_rng(0)
+    for blocks in (10, 30):
+        block = np.repeat(np.arange(blocks), 20)
+        passed = [better_by_chance(rng.standard_normal(block.size), block) <= CHANCE for _ in range(400)]
+        assert 0.01 < np.mean(passed) < 0.08
 
 
 def test_rows_with_nan_are_dropped_and_counted():
