@@ -181,8 +181,13 @@ class GPPosterior:
         inducing points, over the prior's. 1 for outputs that are not active."""
         return self.expressions(z, ("distances",))["distances"]
 
-    def expressions(self, z: Expr, which: Iterable[str], *, noise: bool | str = False) -> dict[str, Expr]:
-        """Several quantities (of `QUANTITIES`, and "distances") of one z, sharing all common work."""
+    def expressions(
+        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+    ) -> dict[str, Expr]:
+        """Several quantities (of `QUANTITIES`, and "distances") of one z, sharing all common work.
+
+        `weights` (M, n_out) stand in for the stored ones, so that they can change at run time.
+        """
         wanted = set(which)
         for name in wanted - {*QUANTITIES, "distances"}:
             raise UnknownNameError("GP quantity", name, (*QUANTITIES, "distances"))
@@ -199,7 +204,8 @@ class GPPosterior:
             if self.active[j] and id(kernel) not in shared:
                 k, g = kernel.covariance_and_slope(self.support.T, x, ca)
                 shared[id(kernel)] = _Common(k=k, g=g)
-            parts = self._output(j, x, shared.get(id(kernel)), wanted)
+            own = ca.DM(self.weights[:, j]) if weights is None else weights[:, j]
+            parts = self._output(j, x, shared.get(id(kernel)), wanted, own)
             for name, value in parts.items():
                 rows[name].append(value)
         out: dict[str, Expr] = {}
@@ -220,7 +226,7 @@ class GPPosterior:
                 out["distance"] = ca.mmax(ca.vertcat(*(rows["distances"][j] for j in active))) if active else ca.DM(1.0)
         return out
 
-    def _output(self, j: int, x: Expr, common: _Common | None, wanted: set[str]) -> dict[str, Expr]:
+    def _output(self, j: int, x: Expr, common: _Common | None, wanted: set[str], weights: Expr) -> dict[str, Expr]:
         """Standardised quantities of output j at the standardised column x."""
         kernel = self.kernels[j]
         prior = kernel.prior_variance(x, ca)
@@ -233,7 +239,7 @@ class GPPosterior:
                 out["jv"] = kernel.prior_variance_slope(x)
             return out
         k, g = common.k, common.g
-        support, weights = self.support.T, ca.DM(self.weights[:, j])
+        support = self.support.T
         if "mean" in wanted:
             out["mean"] = ca.dot(weights, k)
         if "mean_jacobian" in wanted:

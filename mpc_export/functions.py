@@ -1,0 +1,609 @@
+"""model_functions: everything that a controller asks of a model, as named CasADi functions of (x, u, p).
+
+| function | arguments -> results |
+|---|---|
+| f | x u p -> dx; continuous, of the model's own states, without delay (not for discrete models) |
+| f_jac_raw | x u p -> dx, dx_x, dx_u, dx_p in raw coordinates |
+| f_d | x u p -> x_next; one sample, command held, the identified integrator: the authoritative model |
+| f_d_jac | x u p -> x_next, A (n_d, n_d), B (n_d, n_u), P (n_d, n_p) in error coordinates |
+| f_d_jac_raw | x u p -> x_next, A_raw (n_x, n_x), B_raw (n_x, n_u), P_raw (n_x, n_p) |
+| h | x u p -> y |
+| h_jac | x u p -> y, C (n_e, n_d), D (n_e, n_u), H (n_e, n_p): of y - y_hat as the filter forms it, error coordinates |
+| h_jac_raw | x u p -> y, C_raw (n_y, n_x), D_raw (n_y, n_u), H_raw (n_y, n_p) |
+| boxplus, boxminus | x d -> x_moved; x2 x1 -> d: the chart between raw and error coordinates |
+| out_of_domain | x u p -> number, box, distance; 0 inside the training domain |
+| gp_features | x u p -> z, z_x (n_z, n_d), z_u, z_p; gp_features_raw the same with z_x in raw coordinates |
+| gp_mean, gp_mean_jac, gp_variance, gp_all, gp_distance | z p -> the learned push, its variance, their Jacobians in z |
+| B_d, B_d_raw | x u p -> derivative of x_next in the learned push, (n_d or n_x, n_g) |
+| covariance_step, covariance_feedback | x u p S [K] -> S_next = A S A' + B_d Var B_d' + Q; A + B K for A with u = K d |
+| consider_step | x u p K S c b -> S_next, c_next, b_next, total: learned and parameter errors constant over the horizon |
+| filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
+| innovation_gain | there -> K, S |
+| target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
+| lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
+
+Groups "covariance", "filter", "target" and "hessian" come on request. All results are dense, column by column. x holds the
+model's own states and then the command history (sampled.py); p the battery voltage where the model has one, the
+parameters asked for, and, with "gp.weights", the weights of the learned part. With a learned part the functions are MX
+(one `exp` over the support points, analytic Jacobians), else SX.
+
+This file is long because the functions of one model are one thing: they share their parts and their order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import ModelError, UnknownNameError
+from greybox.model.identified import IdentifiedModel
+from greybox.model.linear import LinearModel
+from greybox.residual.hybrid import HybridModel
+from greybox.residual.posterior import GPPosterior
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from mpc_export.dense import cholesky, cholesky_solve
+from mpc_export.noise import Noise, identified_noise, linear_noise, parameter_covariance
+from mpc_export.sampled import Sampled, at_sample_time, is_discrete
+from mpc_export.target import target_function, tracked
+
+GROUPS = ("covariance", "filter", "target", "hessian")
+WEIGHTS = "gp.weights"
+EULER = ("phi", "theta", "psi")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelFunctions:
+    """Named functions of one model and the numbers that belong to them. `functions[name]` or `self[name]`.
+
+    Layouts give order, names and units. `parameter_values` (n_p,) are the identified values of p, `reference` = (x, u)
+    the point of the stationary gain. `delay` maps a delayed input to its history length. `covariance_names` and
+    `covariance` are the uncertain parameters of `consider_step`. `targets` names what `target_step` holds.
+    """
+
+    name: str
+    dt: float
+    identified_dt: float
+    functions: Mapping[str, Any]
+    states: Layout
+    error_states: Layout
+    inputs: Layout
+    parameters: Layout
+    outputs: Layout
+    innovations: Layout
+    features: Layout
+    learned: Layout
+    own_states: int
+    own_error_states: int
+    parameter_values: FloatArray
+    reference: tuple[FloatArray, FloatArray]
+    noise: Noise
+    covariance_names: tuple[str, ...]
+    covariance: FloatArray
+    bounds: tuple[FloatArray, FloatArray]
+    scales: tuple[FloatArray, FloatArray, FloatArray]
+    delay: Mapping[str, int]
+    targets: Layout
+    discrete: bool
+    posterior: GPPosterior | None
+    model: IdentifiedModel | LinearModel
+    sampled: Sampled
+
+    def __getitem__(self, name: str) -> Any:
+        try:
+            return self.functions[name]
+        except KeyError:
+            raise UnknownNameError("function", name, self.functions) from None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta."""
+        return {
+            "n_x": len(self.states), "n_d": len(self.error_states), "n_u": len(self.inputs), "n_p": len(self.parameters),
+            "n_y": len(self.outputs), "n_e": len(self.innovations), "n_z": len(self.features), "n_g": len(self.learned),
+            "n_r": len(self.targets), "n_theta": len(self.covariance_names),
+        }  # fmt: skip
+
+
+def model_functions(
+    model: IdentifiedModel | LinearModel,
+    *,
+    dt: float | None = None,
+    with_: Iterable[str] = (),
+    runtime_parameters: Iterable[str] = (),
+) -> ModelFunctions:
+    """The functions of a fitted model at sample time `dt` [s] (None: the one that it was identified at).
+
+    `with_` adds groups of `GROUPS`. `runtime_parameters` are model parameters that stay in p, by name, and "gp.weights".
+    Raises `UnknownNameError`, and `ModelError` for a discrete model at another sample time, a learned part inside
+    another one, or one that looks at Euler angles.
+    """
+    groups = set(with_)
+    for name in sorted(groups - set(GROUPS)):
+        raise UnknownNameError("group of functions", name, GROUPS)
+    return _Builder(model, dt, groups, tuple(dict.fromkeys(runtime_parameters))).build()
+
+
+class _Builder:
+    """Builds the functions of one model; every part is built once."""
+
+    def __init__(
+        self, model: IdentifiedModel | LinearModel, dt: float | None, groups: set[str], runtime: tuple[str, ...]
+    ) -> None:
+        if not isinstance(model, (IdentifiedModel, LinearModel)):
+            raise ModelError(
+                f"cannot export a {type(model).__name__}", expected="an IdentifiedModel or a LinearModel",
+                fix="fit it, or load a model file",
+            )  # fmt: skip
+        self.model, self.groups = model, groups
+        dynamics: Any = model.dynamics if isinstance(model, IdentifiedModel) else model
+        self.own_dt = float(model.sample_time if isinstance(model, IdentifiedModel) else model.dt)
+        self.dt = self.own_dt if dt is None else float(dt)
+        if not (self.dt > 0 and math.isfinite(self.dt)):
+            raise ModelError("the sample time must be positive", got=f"{self.dt:g} s")
+        self.discrete = is_discrete(dynamics)
+        same = math.isclose(self.dt, self.own_dt, rel_tol=1e-9)
+        if self.discrete and not same:
+            raise ModelError(
+                f"{dynamics.name} is a discrete model", expected=f"dt = {self.own_dt:g} s", got=f"{self.dt:g} s"
+            )
+        if not same:
+            dynamics = at_sample_time(dynamics, self.dt)
+        self.posterior: GPPosterior | None = None
+        if isinstance(dynamics, HybridModel):
+            self.posterior, dynamics = dynamics.posterior, dynamics.inner
+        inner = dynamics
+        while hasattr(inner, "inner"):
+            if isinstance(inner, HybridModel):
+                raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
+            inner = inner.inner
+        if self.posterior is not None and (euler := [n for n in self.posterior.inputs.names if n in EULER]):
+            raise ModelError(
+                f"the learned part looks at Euler angles ({', '.join(euler)})",
+                fix="learn it on gravity.x, gravity.y, gravity.z: they have no singularity",
+            )
+        self.weights = WEIGHTS in runtime
+        if self.weights and self.posterior is None:
+            raise ModelError(f"no learned part, so no {WEIGHTS} to change at run time")
+        self.theta_names, self.theta_covariance = parameter_covariance(model)
+        values = (
+            dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in model.parameters}
+        )
+        self.sampled = Sampled(
+            dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
+            sensitive=self.theta_names,
+        )  # fmt: skip
+        self.x, self.u, self.p, self.w = self.sampled.symbols()
+        self.chart_in, _ = self.sampled.chart(self.x, self.x)
+        self.spread = ca.DM(self.w.numel(), 0 if self.posterior is None else len(self.posterior.outputs))
+        if self.posterior is not None:
+            for j, n in enumerate(self.posterior.outputs.names):
+                self.spread[dynamics.noises[n], j] = 1.0
+        self.functions: dict[str, Any] = {}
+
+    # ------------------------------------------------------------------------------------------------ parts
+
+    @cached_property
+    def parameters(self) -> Layout:
+        """p: exogenous inputs and run-time parameters, then the learned weights."""
+        if self.posterior is None or not self.weights:
+            return self.sampled.parameters
+        names = [f"{WEIGHTS}.{o}.{i + 1}" for o in self.posterior.outputs.names for i in range(self.posterior.points)]
+        return self.sampled.parameters + Layout(
+            [Signal(name=n, unit="-", meaning="weight, standardised") for n in names]
+        )
+
+    def _arguments(self, own: bool = False) -> tuple[Expr, Expr, Expr]:
+        """MX symbols x (own states only, on request), u, p."""
+        n = len(self.sampled.dynamics.states) if own else self.x.numel()
+        return ca.MX.sym("x", n), ca.MX.sym("u", self.u.numel()), ca.MX.sym("p", len(self.parameters))
+
+    def _own_p(self, p: Expr) -> Expr:
+        return p[: self.p.numel()]
+
+    def _gp(self, name: str, which: tuple[str, ...]) -> Any:
+        """A function of (z, p) with some of the posterior's quantities; outputs that are off have no variance."""
+        if name in self.functions:
+            return self.functions[name]
+        posterior = self.posterior
+        assert posterior is not None
+        z, p = ca.MX.sym("z", len(posterior.inputs)), ca.MX.sym("p", len(self.parameters))
+        weights = ca.reshape(p[self.p.numel() :], posterior.points, len(posterior.outputs)) if self.weights else None
+        found = posterior.expressions(z, which, weights=weights)
+        if not all(posterior.active):
+            on = np.array(posterior.active, dtype=float)
+            if "variance" in found:
+                found["variance"] = on * found["variance"]
+            if "variance_jacobian" in found:
+                found["variance_jacobian"] = np.outer(on, np.ones(len(posterior.inputs))) * found["variance_jacobian"]
+        made = ca.Function(name, [z, p], [ca.densify(found[n]) for n in which], ["z", "p"], list(which))
+        self.functions[name] = made
+        return made
+
+    def _mean(self) -> Any:
+        return self._gp("gp_mean", ("mean",))
+
+    def _mean_jacobian(self) -> Any:
+        return self._gp("gp_mean_jac", ("mean", "mean_jacobian"))
+
+    def _features(self, kind: str) -> Any:
+        """(x, u, p) -> z, z_x, z_u, z_p; x in error ("error"), raw ("raw") or the model's own raw coordinates ("own")."""
+        name = {"error": "gp_features", "raw": "gp_features_raw", "own": "gp_features_own"}[kind]
+        if name in self.functions:
+            return self.functions[name]
+        assert self.posterior is not None
+        z = self.sampled.features(self.posterior.inputs.names, self.x, self.u, self.p)
+        n = len(self.sampled.dynamics.states)
+        by_x = ca.jacobian(z, self.x)
+        zeros = ca.SX(len(self.posterior.inputs), len(self.parameters) - self.p.numel())
+        parts = [z, by_x @ self.chart_in if kind == "error" else by_x, ca.jacobian(z, self.u)]
+        parts.append(ca.horzcat(ca.jacobian(z, self.p), zeros))
+        x = self.x
+        if kind == "own":  # features do not look at the history
+            x = self.x[:n]
+            parts[1] = parts[1][:, :n]
+            parts = ca.substitute(parts, [self.x], [ca.vertcat(x, ca.SX.zeros(self.x.numel() - n))])
+        p = ca.SX.sym("p", len(self.parameters))
+        values = [ca.densify(ca.substitute(v, self.p, p[: self.p.numel()])) for v in parts]
+        made = ca.Function(name, [x, self.u, p], values, ["x", "u", "p"], ["z", "z_x", "z_u", "z_p"])
+        self.functions[name] = made
+        return made
+
+    def _push(self, x: Expr, u: Expr, p: Expr, kind: str) -> Expr:
+        """w of the learned mean, as MX."""
+        return self.spread @ self._mean()(self._features(kind)(x, u, p)[0], p)
+
+    def _value(self, name: str, result: str, expression: Expr, *, own: bool = False) -> None:
+        """Adds name(x, u, p) -> result from an expression of x, u, p, w, closed with the learned mean."""
+        x = self.x[: len(self.sampled.dynamics.states)] if own else self.x
+        if self.posterior is None:
+            value = ca.densify(ca.substitute(expression, self.w, ca.DM.zeros(self.w.numel())))
+            self.functions[name] = ca.Function(name, [x, self.u, self.p], [ca.cse(value)], ["x", "u", "p"], [result])
+            return
+        physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], [ca.densify(ca.cse(expression))])
+        mx, mu, mp = self._arguments(own)
+        value = physics(mx, mu, self._own_p(mp), self._push(mx, mu, mp, "own" if own else "raw"))
+        self.functions[name] = ca.Function(name, [mx, mu, mp], [value], ["x", "u", "p"], [result])
+
+    def _jacobians(
+        self,
+        name: str,
+        results: tuple[str, str, str, str],
+        value: Expr,
+        slopes: tuple[Expr, ...],
+        kind: str,
+    ) -> Any:
+        """Adds name(x, u, p) -> value and its slopes in x, u, p; `slopes` are those of the physics in x, u, p and w.
+
+        With a learned part: d/dx = physics_x + physics_w spread gp_jacobian features_x, and so on.
+        """
+        own = kind == "own"
+        x = self.x[: len(self.sampled.dynamics.states)] if own else self.x
+        if self.posterior is None:
+            zero = ca.DM.zeros(self.w.numel())
+            values = ca.cse([ca.substitute(v, self.w, zero) for v in (value, *slopes[:3])])
+            made = ca.Function(
+                name, [x, self.u, self.p], [ca.densify(v) for v in values], ["x", "u", "p"], list(results)
+            )
+            self.functions[name] = made
+            return made
+        through = slopes[3] @ self.spread
+        parts = ca.cse([ca.densify(value), *(ca.sparsify(v) for v in slopes[:3]), ca.densify(through)])
+        physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], parts)
+        mx, mu, mp = self._arguments(own)
+        z, z_x, z_u, z_p = self._features(kind)(mx, mu, mp)
+        mean, slope = self._mean_jacobian()(z, mp)
+        y, y_x, y_u, y_p, y_g = physics(mx, mu, self._own_p(mp), self.spread @ mean)
+        by_z = y_g @ slope
+        y_p = ca.horzcat(y_p, ca.MX(y_p.shape[0], len(self.parameters) - self.p.numel())) + by_z @ z_p
+        if self.weights:
+            q = ca.MX.sym("q", len(self.parameters))
+            fixed = ca.MX.sym("z", z.numel())
+            by_weight = ca.Function("gp_mean_by_weight", [fixed, q], [ca.jacobian(self._mean()(fixed, q), q)])
+            y_p = y_p + y_g @ by_weight(z, mp)
+        values = [ca.densify(v) for v in (y, y_x + by_z @ z_x, y_u + by_z @ z_u, y_p)]
+        made = ca.Function(name, [mx, mu, mp], values, ["x", "u", "p"], list(results))
+        self.functions[name] = made
+        return made
+
+    # ------------------------------------------------------------------------------------------------ families
+
+    def _motion(self) -> None:
+        s, x, u, p, w = self.sampled, self.x, self.u, self.p, self.w
+        if not self.discrete:
+            own = x[: len(s.dynamics.states)]
+            dx = s.derivative(x, u, p, w)
+            self._value("f", "dx", dx, own=True)
+            slopes = tuple(ca.jacobian(dx, v) for v in (own, u, p, w))
+            self._jacobians("f_jac_raw", ("dx", "dx_x", "dx_u", "dx_p"), dx, slopes, "own")
+        after = s.step(x, u, p, w)
+        self._value("f_d", "x_next", after)
+        raw = [ca.jacobian(after, v) for v in (x, u, p, w)]
+        self._jacobians("f_d_jac_raw", ("x_next", "A_raw", "B_raw", "P_raw"), after, tuple(raw), "raw")
+        into, out = s.chart(x, after)
+        error = (out @ raw[0] @ into, out @ raw[1], out @ raw[2], out @ raw[3])
+        self._jacobians("f_d_jac", ("x_next", "A", "B", "P"), after, error, "error")
+        self.through = {"B_d": error[3] @ self.spread, "B_d_raw": raw[3] @ self.spread}
+        self.noise_input = error[3]
+
+    def _outputs(self) -> None:
+        s, x, u, p, w = self.sampled, self.x, self.u, self.p, self.w
+        y_hat = s.output(x, u, p, w)
+        self._value("h", "y", y_hat)
+        raw = tuple(ca.jacobian(y_hat, v) for v in (x, u, p, w))
+        self._jacobians("h_jac_raw", ("y", "C_raw", "D_raw", "H_raw"), y_hat, raw, "raw")
+        y = ca.SX.sym("y", y_hat.numel())
+        e = s.innovation(y, y_hat, x)
+        slopes = [-ca.jacobian(e, v) for v in (x, u, p, w)]
+        slopes[0] = slopes[0] @ self.chart_in
+        error = tuple(ca.substitute(slopes, [y], [y_hat]))
+        self._jacobians("h_jac", ("y", "C", "D", "H"), y_hat, error, "error")
+        self.noise_output = error[3]
+
+    def _charts(self) -> None:
+        s = self.sampled
+        d, x2 = ca.SX.sym("d", len(s.error_states)), ca.SX.sym("x2", self.x.numel())
+        moved, between = ca.densify(s.boxplus(self.x, d)), ca.densify(s.boxminus(x2, self.x))
+        self.functions["boxplus"] = ca.Function("boxplus", [self.x, d], [moved], ["x", "d"], ["x_moved"])
+        self.functions["boxminus"] = ca.Function("boxminus", [x2, self.x], [between], ["x2", "x1"], ["d"])
+
+    def _learned(self) -> None:
+        if self.posterior is None:
+            return
+        self._features("error")
+        self._features("raw")
+        self._mean()
+        self._mean_jacobian()
+        self._gp("gp_variance", ("variance",))
+        self._gp("gp_all", ("mean", "variance", "mean_jacobian", "variance_jacobian"))
+        self._gp("gp_distance", ("distance",))
+        for name, expression in self.through.items():
+            self._value(name, name, expression)
+
+    def _domain(self) -> None:
+        """number > 0 outside: the larger of `box` (overshoot over the range seen in training, relative to it) and the
+        learned part's distance over the 99 % quantile of its training inputs, minus one."""
+        box, distance = self._box(), self.posterior
+        x, u, p = self._arguments()
+        overshoot = box(x, u, p) if box is not None else ca.MX(0.0)
+        far = ca.MX(0.0)
+        number = overshoot
+        if distance is not None:
+            far = self.functions["gp_distance"](self._features("raw")(x, u, p)[0], p)
+            usual = distance.domain.distance[2]
+            number = ca.fmax(overshoot, far / (usual if usual > 0 else 1.0) - 1.0)
+        values = [ca.densify(v) for v in (ca.fmax(number, 0.0), overshoot, far)]
+        self.functions["out_of_domain"] = ca.Function(
+            "out_of_domain", [x, u, p], values, ["x", "u", "p"], ["number", "box", "distance"]
+        )
+
+    def _box(self) -> Any:
+        """Largest relative overshoot of commands and outputs over their training range (x, y and quaternions left out)."""
+        domain = self.model.domain if isinstance(self.model, IdentifiedModel) else {}
+        s = self.sampled
+        u, p = self.u, self.p
+        signals = {n: u[i] for i, n in enumerate(s.inputs.names)}
+        signals |= {n: p[s.parameters[n]] for n in s.exogenous}
+        free = {"x", "y", "qw", "qx", "qy", "qz"}
+        quiet = ca.DM.zeros(self.w.numel())
+        y = s.output(self.x, u, p, quiet)
+        signals |= {n: y[i] for i, n in enumerate(s.dynamics.outputs.names) if n not in free}
+        terms = []
+        for name, value in signals.items():
+            low, high = domain.get(name, (-math.inf, math.inf))
+            if math.isfinite(low) and math.isfinite(high) and high > low:
+                terms.append(ca.fmax(low - value, value - high) / (high - low))
+        if not terms:
+            return None
+        whole = ca.SX.sym("p", len(self.parameters))
+        worst = ca.fmax(ca.mmax(ca.vertcat(*terms)), 0.0)
+        worst = ca.substitute(worst, p, whole[: p.numel()])
+        return ca.Function("domain_box", [self.x, u, whole], [ca.cse(ca.densify(worst))])
+
+    def _covariance(self) -> None:
+        nd = len(self.sampled.error_states)
+        x, u, p = self._arguments()
+        sigma, gain = ca.MX.sym("S", nd, nd), ca.MX.sym("K", self.u.numel(), nd)
+        _, a, b, _ = self.functions["f_d_jac"](x, u, p)
+        fresh = ca.MX(ca.DM(self.noise.process))
+        spread = None
+        if self.posterior is not None:
+            variance = self.functions["gp_variance"](self._features("raw")(x, u, p)[0], p)
+            spread = self.functions["B_d"](x, u, p)
+            learned = (spread * ca.repmat(ca.fmax(variance, 0.0).T, nd, 1)) @ spread.T
+            deviation = ca.sqrt(ca.fmax(variance, 0.0))
+        else:
+            learned = ca.DM.zeros(nd, nd)
+        closed = a + b @ gain
+        for name, arguments, labels, matrix in (
+            ("covariance_step", [x, u, p, sigma], ["x", "u", "p", "S"], a),
+            ("covariance_feedback", [x, u, p, sigma, gain], ["x", "u", "p", "S", "K"], closed),
+        ):
+            after = ca.densify(matrix @ sigma @ matrix.T + learned + fresh)
+            self.functions[name] = ca.Function(name, arguments, [after], labels, ["S_next"])
+        # Errors that stay the same over the whole horizon travel as columns of their own (Schmidt 1966).
+        total = sigma
+        arguments, labels = [x, u, p, gain, sigma], ["x", "u", "p", "K", "S"]
+        results, names = [closed @ sigma @ closed.T + fresh], ["S_next"]
+        if spread is not None:
+            c = ca.MX.sym("c", nd, spread.shape[1])
+            arguments, labels = [*arguments, c], [*labels, "c"]
+            total = total + c @ c.T
+            results.append(closed @ c + spread * ca.repmat(deviation.T, nd, 1))
+            names.append("c_next")
+        if self.theta_names:
+            bias = ca.MX.sym("b", nd, len(self.theta_names))
+            arguments, labels = [*arguments, bias], [*labels, "b"]
+            total = total + bias @ ca.DM(self.theta_covariance) @ bias.T
+            results.append(closed @ bias + self._by_theta()(x, u, p))
+            names.append("b_next")
+        results, names = [*results, total], [*names, "total"]
+        self.functions["consider_step"] = ca.Function(
+            "consider_step", arguments, [ca.densify(v) for v in results], labels, names
+        )
+
+    def _by_theta(self) -> Any:
+        """(x, u, p) -> derivative of x_next in the uncertain parameters, error coordinates (n_d, n_theta)."""
+        s, theta = self.sampled, ca.SX.sym("theta", len(self.theta_names))
+        after = s.step(self.x, self.u, self.p, self.w, theta)
+        _, out = s.chart(self.x, after)
+        slope = ca.substitute(out @ ca.jacobian(after, theta), theta, s._baked(self.p, self.theta_names))
+        self._value("P_theta", "P_theta", slope)
+        return self.functions["P_theta"]
+
+    def _filter(self) -> None:
+        s, noise = self.sampled, self.noise
+        ne, ny = len(s.dynamics.innovations), len(s.dynamics.outputs)
+        there, e = ca.SX.sym("there", ne), ca.SX.sym("e", ne)
+        on = ca.if_else(there != 0, 1.0, 0.0)
+        # Channels that are missing get a unit variance and no weight, as in greybox.estimation.gain.
+        mask = on @ on.T
+        full = ca.DM(noise.innovation) * (mask - ca.diag(on)) + ca.diag(on * ca.diag(ca.DM(noise.innovation)) + 1 - on)
+        factor = cholesky(full)
+        cross = ca.DM(noise.cross) * ca.repmat(on.T, noise.cross.shape[0], 1)
+        moved = cross @ cholesky_solve(factor, ca.vertcat(*(ca.if_else(there[i] != 0, e[i], 0.0) for i in range(ne))))
+        correct = ca.Function("correction", [e, there], [ca.densify(ca.cse(moved))])
+        gain = ca.cse([ca.densify(cholesky_solve(factor, cross.T).T), ca.densify(full)])
+        self.functions["innovation_gain"] = ca.Function("innovation_gain", [there], gain, ["there"], ["K", "S"])
+        y, y_hat = ca.SX.sym("y", ny), ca.SX.sym("y_hat", ny)
+        innovation = ca.Function("innovation", [y, y_hat, self.x], [ca.densify(s.innovation(y, y_hat, self.x))])
+        mx, mu, mp = self._arguments()
+        my, mt = ca.MX.sym("y", ny), ca.MX.sym("there", ne)
+        seen = self.functions["h"](mx, mu, mp)
+        found = innovation(my, seen, mx)
+        after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correct(found, mt))
+        self.functions["filter_step"] = ca.Function(
+            "filter_step", [mx, mu, mp, my, mt], [after, found, seen], ["x", "u", "p", "y", "there"],
+            ["x_next", "e", "y_hat"],
+        )  # fmt: skip
+
+    def _hessian(self) -> None:
+        lam: Any = ca.MX.sym("lam", self.x.numel())
+        x, u, p = self._arguments()
+        if self.posterior is None:
+            lam = ca.SX.sym("lam", self.x.numel())
+            x, u, p = self.x, self.u, self.p
+            value = ca.dot(lam, self.sampled.step(x, u, p, ca.DM.zeros(self.w.numel())))
+            hessian = ca.densify(ca.hessian(value, ca.vertcat(x, u))[0])
+        else:
+            v = ca.MX.sym("v", x.numel() + u.numel())
+            value = ca.dot(lam, self.functions["f_d"](v[: x.numel()], v[x.numel() :], p))
+            inner = ca.Function("hessian_of_both", [v, p, lam], [ca.densify(ca.hessian(value, v)[0])])
+            hessian = inner(ca.vertcat(x, u), p, lam)
+        self.functions["lagrangian_hessian"] = ca.Function(
+            "lagrangian_hessian", [x, u, p, lam], [hessian], ["x", "u", "p", "lam"], ["H"]
+        )
+
+    # ------------------------------------------------------------------------------------------------ numbers
+
+    def _reference(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        if isinstance(self.model, LinearModel):
+            state, inputs = np.zeros(self.model.order), self.model.input_offset
+        else:
+            state, inputs = self.model.reference_state, self.model.reference_inputs
+        x, u, p = self.sampled.extended(state, inputs)
+        if self.weights and self.posterior is not None:
+            p = np.concatenate([p, self.posterior.weights.ravel(order="F")])
+        return x, u, p
+
+    def _noise(self, x: FloatArray, u: FloatArray, p: FloatArray) -> Noise:
+        extra = len(self.sampled.history)
+        if isinstance(self.model, LinearModel):
+            return linear_noise(self.model, extra)
+        inputs = [self.x, self.u, self.p, self.w]
+        through = ca.Function("noise", inputs, [ca.densify(self.noise_input), ca.densify(self.noise_output)])
+        w = ca.DM.zeros(self.w.numel())
+        if self.posterior is not None:
+            w = self.spread @ self.functions["gp_mean"](self.functions["gp_features"](x, u, p)[0], p)
+        g, d = (v.full() for v in through(x, u, p[: self.p.numel()], w))
+        a, c = self.functions["f_d_jac"](x, u, p)[1].full(), self.functions["h_jac"](x, u, p)[1].full()
+        n = len(self.sampled.dynamics.error_states)
+        return identified_noise(self.model, self.dt, (a[:n, :n], g[:n], c[:, :n], d), extra)
+
+    def build(self) -> ModelFunctions:
+        """All of it."""
+        s = self.sampled
+        self._motion()
+        self._outputs()
+        self._charts()
+        self._learned()
+        self._domain()
+        x, u, p = self._reference()
+        self.noise = self._noise(x, u, p)
+        targets = Layout([])
+        if "covariance" in self.groups:
+            self._covariance()
+        if "filter" in self.groups:
+            self._filter()
+        if "target" in self.groups:
+            targets = tracked(s)
+            self.functions["target_step"] = target_function(s, self.functions, targets, len(self.parameters))
+        if "hessian" in self.groups:
+            self._hessian()
+        self.functions.pop("gp_features_own", None)
+        longest: dict[str, int] = {}
+        for i, lag in s.history:
+            longest[s.dynamics.inputs.names[i]] = lag
+        none = Layout([])
+        return ModelFunctions(
+            name=s.dynamics.name if self.posterior is None else f"{s.dynamics.name} + GP", dt=self.dt,
+            identified_dt=self.own_dt, functions=self.functions, states=s.states, error_states=s.error_states,
+            inputs=s.inputs, parameters=self.parameters, outputs=s.dynamics.outputs, innovations=s.dynamics.innovations,
+            features=none if self.posterior is None else self.posterior.inputs,
+            learned=none if self.posterior is None else self.posterior.outputs, own_states=len(s.dynamics.states),
+            own_error_states=len(s.dynamics.error_states), parameter_values=p, reference=(x, u), noise=self.noise,
+            covariance_names=self.theta_names, covariance=self.theta_covariance, bounds=_bounds(self), scales=_scales(self),
+            delay=longest, targets=targets, discrete=self.discrete, posterior=self.posterior, model=self.model, sampled=s,
+        )  # fmt: skip
+
+
+def _bounds(builder: _Builder) -> tuple[FloatArray, FloatArray]:
+    """(lower, upper) of the commands: 0 .. 1, rotor speeds 0 .. speed_max, else what was seen in training."""
+    domain = builder.model.domain if isinstance(builder.model, IdentifiedModel) else {}
+    vehicle = getattr(builder.sampled.dynamics, "vehicle", None)
+    rows = []
+    for name in builder.sampled.inputs.names:
+        if vehicle is not None:
+            top = vehicle.actuator.speed_max if name.startswith("omega") else 1.0
+            rows.append((0.0, float(top)))
+        else:
+            rows.append(domain.get(name, (-math.inf, math.inf)))
+    values = np.array(rows, dtype=float).reshape(-1, 2)
+    return values[:, 0], values[:, 1]
+
+
+SCALES = {"position": 1.0, "velocity": 1.0, "attitude": 1.0, "rate": 1.0, "rotor": 1.0}
+
+
+def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Typical sizes of x, u and y: dimensionless = value / scale. Of outputs half the range seen in training."""
+    s, model = builder.sampled, builder.model
+    domain = model.domain if isinstance(model, IdentifiedModel) else {}
+
+    def half(name: str, default: float) -> float:
+        low, high = domain.get(name, (0.0, 0.0))
+        size = max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 0.0
+        return size if size > 0 else default
+
+    rates = dict(zip(("rate.x", "rate.y", "rate.z"), "pqr"))
+    speeds = dict(zip(("velocity.x", "velocity.y", "velocity.z"), ("vx", "vy", "vz")))
+    pushes = {f"disturbance.{n}": v for n, v in zip(s.dynamics.noises.names, s.dynamics.noise_scale(0.01))}
+    lower, upper = _bounds(builder)
+    width = np.where(np.isfinite(upper - lower), np.maximum(np.abs(lower), np.abs(upper)), 1.0)
+    commands = dict(zip(s.inputs.names, np.where(width > 0, width, 1.0).tolist()))
+    x = []
+    for name in s.states.names:
+        head = name.split(".")[0]
+        if head == "history":
+            x.append(commands[name.split(".")[1]])
+        elif name in pushes:
+            x.append(float(pushes[name]) or 1.0)
+        else:
+            x.append(half((rates | speeds).get(name, name), SCALES.get(head, 1.0)))
+    y = [half(n, 1.0) for n in s.dynamics.outputs.names]
+    return np.array(x), np.array(list(commands.values())), np.array(y)

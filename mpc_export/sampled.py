@@ -1,0 +1,255 @@
+"""Sampled: a Dynamics as a controller sees it, one sample long, its command held, everything that it needs in its state.
+
+    X+ = step(X, u, p, w),   y = output(X, u, p, w),   X = (x, history)
+
+A delay looks at earlier commands. They become states: `history.<input>.<k>` is the command of k samples ago, as many as
+the model needs at its baked delay. Inputs that a controller does not choose (the battery voltage) become run-time
+parameters. The learned part of a hybrid is left out here: it enters through the process-noise channels w.
+All expressions are SX.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, is_dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.engine import chart_jacobians
+from greybox.model.dynamics import Dynamics
+from greybox.model.linear import LinearModel
+from greybox.residual.features import features
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
+
+EXOGENOUS = ("vbat",)
+"""Inputs of a multirotor that nobody commands."""
+
+
+def is_discrete(dynamics: Any) -> bool:
+    """Whether the model is a map from sample to sample, without a derivative."""
+    while hasattr(dynamics, "inner"):
+        dynamics = dynamics.inner
+    return isinstance(dynamics, LinearModel) or bool(getattr(dynamics, "discrete", False))
+
+
+def at_sample_time(dynamics: Any, dt: float) -> Any:
+    """The same model for another sample time: its command window holds as many samples as its delay then needs."""
+    if hasattr(dynamics, "inner"):
+        return replace(dynamics, inner=at_sample_time(dynamics.inner, dt))
+    if is_dataclass(dynamics) and hasattr(dynamics, "sample_time"):
+        return replace(dynamics, sample_time=dt)  # type: ignore[type-var]
+    return dynamics
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """`dynamics` (without a learned part) at sample time `dt` [s] with `values`; `runtime` parameters stay symbolic.
+
+    `sensitive` are the parameters whose sensitivities must come out right too (they may need one command more). Raises
+    `UnknownNameError` for a parameter that the model does not have.
+    """
+
+    dynamics: Dynamics
+    dt: float
+    values: Mapping[str, float]
+    runtime: tuple[str, ...] = ()
+    sensitive: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = [d.name for d in self.dynamics.parameters]
+        for name in (*self.runtime, *self.sensitive):
+            if name not in known:
+                raise UnknownNameError("parameter", name, known)
+
+    # ------------------------------------------------------------------------------------------------ layouts
+
+    @cached_property
+    def exogenous(self) -> tuple[str, ...]:
+        """Input columns that are run-time parameters here."""
+        if isinstance(self.dynamics, LinearModel):
+            return ()
+        return tuple(n for n in self.dynamics.inputs.names if n in EXOGENOUS)
+
+    @cached_property
+    def inputs(self) -> Layout:
+        """Commands u (n_u)."""
+        return Layout([s for s in self.dynamics.inputs if s.name not in self.exogenous])
+
+    @cached_property
+    def parameters(self) -> Layout:
+        """Run-time parameters p (n_p): exogenous inputs, then `runtime` in the order given."""
+        units = {d.name: d for d in self.dynamics.parameters}
+        signals = [s for s in self.dynamics.inputs if s.name in self.exogenous]
+        signals += [Signal(name=n, unit=units[n].unit, meaning=units[n].meaning) for n in self.runtime]
+        return Layout(signals)
+
+    @cached_property
+    def history(self) -> tuple[tuple[int, int], ...]:
+        """(input, lag in samples) of every history state: all first lags, then all second ones."""
+        past = self.dynamics.window[0]
+        if past == 0:
+            return ()
+        count = len(self.dynamics.inputs)
+        x, window, p, w = self._plain_symbols()
+        theta = ca.SX.sym("theta", len(self.sensitive))
+        full = self._vector(p, theta)
+        felt = ca.vertcat(
+            *(getattr(self.dynamics, which)(0, x, window, full, w, self.dt) for which in ("step", "output"))
+        )
+        everything = ca.vertcat(felt, ca.vec(ca.jacobian(felt, theta)), ca.vec(ca.jacobian(felt, p)))
+        baked = ca.substitute(everything, theta, self._baked(p, self.sensitive))
+        needed = _felt(baked, [x, window, p, w], 1).reshape(-1, count)  # column by column
+        out: list[tuple[int, int]] = []
+        longest = [max((lag for lag in range(1, past + 1) if needed[past - lag, i]), default=0) for i in range(count)]
+        for lag in range(1, max(longest, default=0) + 1):
+            out += [(i, lag) for i in range(count) if longest[i] >= lag]
+        if any(self.dynamics.inputs.names[i] in self.exogenous for i, _ in out):
+            raise ModelError("an earlier battery voltage cannot be a state", fix="leave the delay of vbat out")
+        return tuple(out)
+
+    def _history_signals(self, prefix: str) -> list[Signal]:
+        inputs = self.dynamics.inputs.signals
+        return [
+            Signal(
+                name=f"{prefix}history.{inputs[i].name}.{lag}",
+                unit=inputs[i].unit,
+                meaning=f"command {lag} samples ago",
+            )
+            for i, lag in self.history
+        ]
+
+    @cached_property
+    def states(self) -> Layout:
+        """X (n_x): the model's own states, then the history."""
+        return self.dynamics.states + Layout(self._history_signals(""))
+
+    @cached_property
+    def error_states(self) -> Layout:
+        """Error state (n_d): the model's own, then the history's."""
+        return self.dynamics.error_states + Layout(self._history_signals("d_"))
+
+    # ------------------------------------------------------------------------------------------------ vectors
+
+    def symbols(self) -> tuple[Expr, Expr, Expr, Expr]:
+        """SX symbols X, u, p, w."""
+        return (
+            ca.SX.sym("x", len(self.states)), ca.SX.sym("u", len(self.inputs)),
+            ca.SX.sym("p", len(self.parameters)), ca.SX.sym("w", len(self.dynamics.noises)),
+        )  # fmt: skip
+
+    def _plain_symbols(self) -> tuple[Expr, Expr, Expr, Expr]:
+        past, future = self.dynamics.window
+        return (
+            ca.SX.sym("x", len(self.dynamics.states)),
+            ca.SX.sym("U", len(self.dynamics.inputs), past + 1 + future),
+            ca.SX.sym("p", len(self.parameters)),
+            ca.SX.sym("w", len(self.dynamics.noises)),
+        )
+
+    def _baked(self, p: Expr, names: Sequence[str]) -> Expr:
+        """The named model parameters: entries of p where they are run-time ones, numbers where not."""
+        layout = self.parameters
+        return ca.vertcat(ca.SX(0, 1), *(p[layout[n]] if n in layout else self.values[n] for n in names))
+
+    def _vector(self, p: Expr, theta: Expr | None = None) -> Expr:
+        """The model's own parameter vector; `theta` stands for the `sensitive` ones."""
+        names = [d.name for d in self.dynamics.parameters]
+        full = ca.SX(self._baked(p, names))
+        if theta is not None:
+            for k, name in enumerate(self.sensitive):
+                full[names.index(name)] = theta[k]
+        return full
+
+    def current(self, u: Expr, p: Expr) -> Expr:
+        """The model's own input column from commands and exogenous inputs."""
+        layout = self.parameters
+        rows = [p[layout[n]] if n in self.exogenous else u[self.inputs[n]] for n in self.dynamics.inputs.names]
+        return ca.vertcat(*rows)
+
+    def window(self, x: Expr, u: Expr, p: Expr) -> Expr:
+        """The model's command window; the present command stands where no earlier one is looked at."""
+        past, future = self.dynamics.window
+        now = self.current(u, p)
+        at = {pair: len(self.dynamics.states) + k for k, pair in enumerate(self.history)}
+        columns = []
+        for column in range(past + 1 + future):
+            lag = past - column
+            columns.append(ca.vertcat(*(x[at[i, lag]] if (i, lag) in at else now[i] for i in range(now.numel()))))
+        return ca.horzcat(*columns)
+
+    def core(self, x: Expr) -> Expr:
+        """The model's own states out of X."""
+        return x[: len(self.dynamics.states)]
+
+    # ------------------------------------------------------------------------------------------------ the maps
+
+    def step(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
+        """X one sample later."""
+        after = self.dynamics.step(0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt)
+        now = self.current(u, p)
+        n = len(self.dynamics.states)
+        at = {pair: n + k for k, pair in enumerate(self.history)}
+        return ca.vertcat(after, *(now[i] if lag == 1 else x[at[i, lag - 1]] for i, lag in self.history))
+
+    def output(self, x: Expr, u: Expr, p: Expr, w: Expr, theta: Expr | None = None) -> Expr:
+        """Outputs y at the sample."""
+        return self.dynamics.output(0, self.core(x), self.window(x, u, p), self._vector(p, theta), w, self.dt)
+
+    def derivative(self, x: Expr, u: Expr, p: Expr, w: Expr) -> Expr:
+        """dx/dt of the model's own states, without the delay."""
+        return self.dynamics.f(0, self.core(x), self.current(u, p), self._vector(p), w)
+
+    def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
+        """Innovation (n_e) of measured outputs against predicted ones."""
+        return self.dynamics.innovation(y, y_hat, self.core(x))
+
+    def boxplus(self, x: Expr, d: Expr) -> Expr:
+        """X moved by an error state (n_d)."""
+        n, m = len(self.dynamics.states), len(self.dynamics.error_states)
+        return ca.vertcat(self.dynamics.boxplus(x[:n], d[:m]), x[n:] + d[m:])
+
+    def boxminus(self, x2: Expr, x1: Expr) -> Expr:
+        """The error state that carries x1 into x2."""
+        n = len(self.dynamics.states)
+        return ca.vertcat(self.dynamics.boxminus(x2[:n], x1[:n]), x2[n:] - x1[n:])
+
+    def chart(self, x: Expr, z: Expr) -> tuple[Expr, Expr]:
+        """(d boxplus(x, d)/dd at d = 0 (n_x, n_d), d boxminus(z', z)/dz' at z' = z (n_d, n_x))."""
+        n, h = len(self.dynamics.states), ca.SX.eye(len(self.history))
+        into, out = chart_jacobians(self.dynamics, x[:n], z[:n])
+        return ca.diagcat(into, h), ca.diagcat(out, h)
+
+    def features(self, names: Sequence[str], x: Expr, u: Expr, p: Expr) -> Expr:
+        """Inputs of a learned part, by name (greybox/residual/features.py)."""
+        return features(self.dynamics, names, self.core(x), self.window(x, u, p))
+
+    # ------------------------------------------------------------------------------------------------ reference
+
+    def extended(self, state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(X, u, p) of a state and an input column of the model that has been the same for long."""
+        column = dict(zip(self.dynamics.inputs.names, np.asarray(inputs, dtype=float).tolist(), strict=True))
+        names = self.dynamics.inputs.names
+        past = [column[names[i]] for i, _ in self.history]
+        p = [column.get(n, self.values.get(n, np.nan)) for n in self.parameters.names]
+        return np.concatenate([state, past]), np.array([column[n] for n in self.inputs.names]), np.array(p)
+
+
+def _felt(value: Expr, symbols: Sequence[Expr], which: int) -> npt.NDArray[np.bool_]:
+    """Per entry of symbols[which] whether `value` really depends on it: by structure, and by slope at random points.
+
+    A delay of whole samples (or none) keeps a command in the expression with a factor that is exactly zero.
+    """
+    inner = ca.vec(symbols[which])
+    by_structure = np.array(ca.which_depends(value, inner, 1, False), dtype=bool)
+    slope = ca.Function("slope", list(symbols), [ca.sum1(ca.fabs(ca.jacobian(value, inner)))])
+    rng = np.random.default_rng(0)
+    total = np.zeros(inner.numel())
+    for _ in range(20):
+        point = [rng.uniform(0.05, 0.95, size=s.shape) for s in symbols]
+        total = np.maximum(total, np.nan_to_num(slope(*point).full().ravel(), nan=np.inf))
+    return by_structure & (total > 0)

@@ -1,0 +1,125 @@
+"""Offset-free targets: the steady state and command that hold a reference under the estimated disturbance.
+
+With disturbance states in the model, the steady state that the disturbed model needs has no offset in what it tracks
+(Pannocchia and Rawlings 2003, AIChE J. 49(2); Maeder, Borrelli and Morari 2009, Automatica 45(10)). The conditions
+
+    boxminus(f_d(x, u), x) = 0  (without the disturbances, which the target takes as they are),   tracked(x) = r
+
+are solved by Newton steps in error coordinates, each scaled to typical sizes and solved by its normal equations with a
+tiny ridge: what they lose in digits the next step makes good, because the conditions themselves are evaluated exactly.
+A history of commands is at rest: every earlier command is the present one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.frames import euler_zyx
+from greybox.symbolic import Expr, Layout, Signal
+from mpc_export.dense import cholesky, cholesky_solve
+from mpc_export.sampled import Sampled
+
+RIDGE = 1e-12
+"""Added to the normal equations, whose largest diagonal entry is about one."""
+SIZES = {"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0, "d_rotor": 0.3}
+
+
+def tracked(sampled: Sampled) -> Layout:
+    """What the target holds: position or else velocity (world) and heading, or else as many outputs as there are commands.
+
+    Heading is psi [rad] (ZYX). Raises `ModelError` for a model that has neither.
+    """
+    names = sampled.dynamics.states.names
+    for block in ("position", "velocity"):
+        if f"{block}.x" in names and "attitude.w" in names:
+            rows = [sampled.dynamics.states.signals[sampled.dynamics.states[f"{block}.{a}"]] for a in "xyz"]
+            return Layout([*rows, Signal(name="psi", unit="rad", meaning="heading, ZYX")])
+    if "rate.x" in names:
+        return Layout([sampled.dynamics.states.signals[sampled.dynamics.states[f"rate.{a}"]] for a in "xyz"])
+    return Layout(list(sampled.dynamics.outputs)[: len(sampled.inputs)])
+
+
+def _held(sampled: Sampled, targets: Layout, x: Expr, y: Expr) -> Expr:
+    states, outputs = sampled.dynamics.states, sampled.dynamics.outputs
+    rows = []
+    for n in targets.names:
+        if n == "psi" and "attitude.w" in states:
+            rows.append(euler_zyx(x[[states[f"attitude.{a}"] for a in "wxyz"]])[2])
+        elif n in states:
+            rows.append(x[states[n]])
+        else:
+            rows.append(y[outputs[n]])
+    return ca.vertcat(*rows)
+
+
+def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Layout, n_p: int) -> Any:
+    """target_step(x, u, p, r) -> x_next, u_next, residual (a scalar: largest condition that x, u still miss, scaled).
+
+    Call it a few times from any start; the disturbances in x stay. Raises `ModelError` for a model without commands.
+    """
+    if not len(sampled.inputs):
+        raise ModelError("a model without commands has no target")
+    nd, nu = len(sampled.error_states), len(sampled.inputs)
+    own = len(sampled.dynamics.error_states)
+    names = sampled.error_states.names
+    moving = [i for i in range(own) if not names[i].startswith("d_disturbance.")]
+    size = np.array([SIZES.get(names[i].rpartition(".")[0], 1.0) for i in moving])
+    scale = np.concatenate([size, np.full(nu, 0.3)])
+    x, u, p = ca.MX.sym("x", len(sampled.states)), ca.MX.sym("u", nu), ca.MX.sym("p", n_p)
+    r = ca.MX.sym("r", len(targets))
+    # The history is that of the present command.
+    order = [sampled.inputs[sampled.dynamics.inputs.names[i]] for i, _ in sampled.history]
+    still = ca.vertcat(x[: len(sampled.dynamics.states)], *(u[i] for i in order))
+    after, a, b, _ = functions["f_d_jac"](still, u, p)
+    held = ca.DM(len(order), nu)
+    for k, i in enumerate(order):
+        held[k, i] = 1.0
+    b = b + a[:, own:] @ held if order else b
+    change = functions["boxminus"](after, still)
+    # d boxminus(f_d(x+d), x+d)/dd, to first order at a small change.
+    slope = (a - ca.DM.eye(nd))[moving, moving]
+    y, c, d, _ = functions["h_jac_raw"](still, u, p)
+    sx, sy = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", y.numel())
+    value = _held(sampled, targets, sx, sy)
+    into, _ = sampled.chart(sx, sx)
+    hold = ca.Function(
+        "held", [sx, sy],
+        [ca.densify(v) for v in (value, ca.jacobian(value, sx) @ into[:, moving], ca.jacobian(value, sy), into[:, moving])],
+    )  # fmt: skip
+    there, by_state, by_output, chart = hold(still, y)
+    c, d = by_output @ c @ chart, by_output @ d
+    # A heading is reached the short way round.
+    rows = [r[i] - there[i] for i in range(len(targets))]
+    missing = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n == "psi" else v for n, v in zip(targets.names, rows)))
+    rhs = ca.vertcat(-change[moving] / size, missing)
+    top = ca.horzcat(slope, b[moving, :])
+    top = top * ca.repmat(ca.DM(scale).T, len(moving), 1) / ca.repmat(ca.DM(size), 1, len(scale))
+    low = ca.horzcat(by_state + c, d) * ca.repmat(ca.DM(scale).T, len(targets), 1)
+    step = _least_squares(len(moving) + len(targets), len(scale))(ca.vertcat(top, low), rhs) * scale
+    spread = ca.DM(nd, len(moving))
+    for k, i in enumerate(moving):
+        spread[i, k] = 1.0
+    new_u = u + step[len(moving) :]
+    new_x = functions["boxplus"](still, ca.densify(spread @ step[: len(moving)]))
+    new_x = ca.vertcat(new_x[: len(sampled.dynamics.states)], *(new_u[i] for i in order))
+    return ca.Function(
+        "target_step", [x, u, p, r], [new_x, new_u, ca.mmax(ca.fabs(rhs))], ["x", "u", "p", "r"],
+        ["x_next", "u_next", "residual"],
+    )  # fmt: skip
+
+
+def _least_squares(rows: int, columns: int) -> Any:
+    """(J, r) -> the least-squares solution of J d = r, rows of J balanced first."""
+    j, r = ca.MX.sym("J", rows, columns), ca.MX.sym("r", rows)
+    weight = 1 / ca.sqrt(ca.sum2(j * j) + 1e-30)
+    j1, r1 = j * ca.repmat(weight, 1, columns), r * weight
+    m, v = ca.SX.sym("m", columns, columns), ca.SX.sym("v", columns)
+    solve = ca.Function(
+        "normal_equations", [m, v], [ca.densify(cholesky_solve(cholesky(m + RIDGE * ca.SX.eye(columns)), v))]
+    )
+    return ca.Function("least_squares", [j, r], [solve(j1.T @ j1, j1.T @ r1)])
