@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
-from greybox.estimation.filtering import Filter
+from greybox.estimation.filtering import Filter, Filtered
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
@@ -36,7 +36,8 @@ Squares = dict[tuple[str, float], list[FloatArray]]
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GapRow:
     """One group and horizon: RMSE before and after, the floor (None without an IMU or attitude), share closed (None where
-    there was no gap) and its 95 % interval."""
+    there was no gap) and its 95 % interval; the share that the proposed laws close together with the names, and the share
+    that a learned part closes without a name (the attainable line)."""
 
     group: str
     unit: str
@@ -46,18 +47,40 @@ class GapRow:
     floor: float | None
     closed: float | None
     ci95: tuple[float, float] | None
+    with_proposals: float | None = None
+    attainable: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
         return {
             "group": self.group, "unit": self.unit, "horizon_s": self.horizon_s, "before": self.before,
             "after": self.after, "floor": self.floor, "closed": self.closed,
-            "ci95": None if self.ci95 is None else list(self.ci95),
+            "ci95": None if self.ci95 is None else list(self.ci95), "with_proposals": self.with_proposals,
+            "attainable": self.attainable,
         }  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Foresight:
+    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`; and the
+    log likelihood of the one-step errors (after the adaptation)."""
+
+    own: Squares
+    floor: Squares
+    loglik: float
+
+
 def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
-    """((group, horizon) -> one array of squared errors per second of flight, in order; the same of the floor)."""
+    """The squared errors of `foresee` and of the floor."""
+    seen = foresee(model, data, adapt=adapt)
+    return seen.own, seen.floor
+
+
+def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
+    """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
+
+    Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
+    """
     runner, reader = Filter(model), GroupReader(model)
     dt = model.sample_time
     groups = reader.judged(data.any_channels)
@@ -65,6 +88,7 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     longest = max(steps.values())
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
+    loglik = 0.0
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
@@ -79,6 +103,7 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             seen = {n: v for n, v in segment.channels.items() if n not in flight.noncausal}
             bare = Segment(t=segment.t, channels=seen, flight=segment.flight, extra=segment.extra)
             filtered = runner.run(bare, p=p)
+            loglik += _loglik(filtered, late[0])
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
             second = np.asarray((segment.t[origins] - segment.t[0]) // 1.0, dtype=int)
@@ -88,7 +113,22 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return own, floor
+    return Foresight(own=own, floor=floor, loglik=loglik)
+
+
+def _loglik(filtered: Filtered, begin: int) -> float:
+    """Gaussian log likelihood of the innovations from sample `begin` on."""
+    total = 0.0
+    for g, there in enumerate(filtered.record.patterns != 0):
+        rows = np.flatnonzero(filtered.record.pattern == g)
+        rows = rows[rows >= begin]
+        if not there.any() or not rows.size:
+            continue
+        s = filtered.covariance[g][np.ix_(there, there)]
+        e = filtered.innovations[np.ix_(rows, there)]
+        _, logdet = np.linalg.slogdet(2 * np.pi * s)
+        total -= 0.5 * (float((e * np.linalg.solve(s, e.T).T).sum()) + len(rows) * float(logdet))
+    return total
 
 
 def _collect(
@@ -131,9 +171,11 @@ def _floor(
 
 
 def gap(
-    before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, draws: int = 500, seed: int = 0
-) -> list[GapRow]:
-    """Rows for every group and horizon that both models predict, from what `squares` gave."""
+    before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, proposals: Squares | None = None,
+    attainable: Squares | None = None, draws: int = 500, seed: int = 0,
+) -> list[GapRow]:  # fmt: skip
+    """Rows for every group and horizon that both models predict, from what `squares` gave; `proposals` and `attainable`
+    are squared errors of the model with the proposed laws and of the one with a learned part."""
     rng = np.random.default_rng(seed)
     out = []
     for key, blocks in before[0].items():
@@ -145,8 +187,10 @@ def gap(
         total = [_mean(s) for s in sums]
         base = None if floors is None else _mean(floors)
         closed, interval = None, None
+        others: list[float | None] = [None, None]
         if total[0] > NOTHING * (base or 0.0) and total[0] > 0:
             closed = _closed(total[0], total[1], base or 0.0)
+            others = [_other(o, key, len(blocks), total[0], base or 0.0) for o in (proposals, attainable)]
             drawn = []
             for _ in range(draws):
                 pick = rng.integers(0, len(blocks), len(blocks))
@@ -166,6 +210,8 @@ def gap(
                 floor=None if base is None else float(np.sqrt(base)),
                 closed=closed,
                 ci95=interval,
+                with_proposals=others[0],
+                attainable=others[1],
             )
         )
     return out
@@ -173,6 +219,14 @@ def gap(
 
 def _mean(sums: FloatArray) -> float:
     return float(sums[:, 0].sum() / max(sums[:, 1].sum(), 1.0))
+
+
+def _other(squares: Squares | None, key: tuple[str, float], count: int, before: float, floor: float) -> float | None:
+    """Share that another model closes; None where it did not predict the same."""
+    blocks = (squares or {}).get(key, [])
+    if len(blocks) != count:
+        return None
+    return _closed(before, _mean(np.array([(b.sum(), b.size) for b in blocks])), floor)
 
 
 def _closed(before: float, after: float, floor: float) -> float:

@@ -1,15 +1,15 @@
 """Leftover: is what remains structured, what does it depend on, and can it be written down?
 
 Force and torque are promoted to Gauss-Markov states (Kristensen, Madsen and Jorgensen 2004); a group whose states improve
-BIC clearly is deficient. The smoothed discrepancy of each of its axes is regressed on a small library of polynomial terms
-of the model's signals: forward selection on random halves of the flight's stretches, terms that are chosen most of the time
-stay (stability selection, Meinshausen and Buhlmann 2010, JRSS B 72(4)), and the share that they explain on stretches that
-were left out says whether there is a law. What is deficient but follows no signal of the model is said to be that.
+BIC clearly is deficient, and an axis whose likelihood falls clearly when its state is taken away. The smoothed
+discrepancy of each axis is regressed on a small library (greybox.discovery.terms): forward selection on random halves of
+the flights' stretches, terms that are chosen most of the time stay (stability selection, Meinshausen and Buhlmann 2010,
+JRSS B 72(4)), and the share that they explain on flights that were left out (stretches, of a single flight) says whether
+there is a law. What is deficient but follows no signal of the model is said to be that.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.discovery.terms import Term, terms, wanted_features
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.residual.discrepancy import GROUPS, discrepancy
-from greybox.residual.features import available, default_features
 from greybox.symbolic import FloatArray
 
 SHARE = 0.25
@@ -28,12 +28,17 @@ STABLE = 0.7
 """Share of the halves in which a term must be chosen."""
 TERMS, HALVES, STRETCHES = 3, 30, 10
 CLEAR = 10.0
+STRONG = 60.0
+"""Gain above which an axis counts as deficient although no law was found."""
+SILENT = 12.0
+"""By how much the logarithm of a level falls when its state is taken away."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leftover:
     """One axis: `channel` (force.x, ...), RMS of its smoothed discrepancy [unit], `share` of its variance that `terms`
-    (text -> coefficient, SI) explain out of sample, and the signals that they look at."""
+    (text -> coefficient, SI) explain out of sample, and the signals that they look at; `codes` are the terms as lines of
+    an effect file. `gain`: how much BIC loses without this axis' state."""
 
     channel: str
     unit: str
@@ -41,6 +46,8 @@ class Leftover:
     share: float
     terms: dict[str, float]
     depends_on: tuple[str, ...]
+    codes: tuple[str, ...] = ()
+    gain: float = 0.0
 
     @property
     def lawful(self) -> bool:
@@ -52,7 +59,7 @@ class Leftover:
         law = " + ".join(f"{c:.4g} {t}" for t, c in self.terms.items())
         return {
             "channel": self.channel, "depends_on": list(self.depends_on), "share": self.share, "rms": self.rms,
-            "unit": self.unit, "proposal": f"{self.channel} = {law}" if law else None,
+            "unit": self.unit, "proposal": f"{self.channel} = {law}" if law else None, "gain": self.gain,
         }  # fmt: skip
 
 
@@ -69,6 +76,18 @@ class Promoted:
         """Whether the states are clearly needed."""
         return self.gain > CLEAR
 
+    @property
+    def unnamed(self) -> tuple[Leftover, ...]:
+        """Axes that are clearly deficient: with a law, or far above what chance and small mismatches leave."""
+        if not self.deficient:
+            return ()
+        return tuple(a for a in self.axes if a.gain > CLEAR and (a.lawful or a.gain > STRONG))
+
+    @property
+    def laws(self) -> tuple[Leftover, ...]:
+        """Unnamed axes with a law."""
+        return tuple(a for a in self.unnamed if a.lawful)
+
 
 def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
     """Disturbance states on top of `found` (physics held, levels and time constants fitted), and laws for their axes."""
@@ -77,84 +96,88 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
         found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
         values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
     )  # fmt: skip
-    model = result.model
-    wanted = default_features(model.dynamics)
-    extra = [n for n in available(model.dynamics) if n == "height" or n.startswith("gravity.") or n in ("psi", "vbat")]
-    names = tuple(dict.fromkeys((*wanted, *extra)))
-    seen = discrepancy(model, data, names)
+    names = wanted_features(result.model.dynamics)
+    seen = discrepancy(result.model, data, names)
+    gains = axis_gains(result)
+    vehicle = found.model.physics.vehicle
     axes = tuple(
-        _law(channel.name, channel.unit, seen.z, seen.y[:, j], names, seen.flights, seed)
+        _law(
+            channel.name, channel.unit, terms(channel.name, names, seen.z, vehicle), seen.y[:, j], seen.flights, seed,
+            gains[channel.name],
+        )
         for j, channel in enumerate(seen.outputs)
-    )
+    )  # fmt: skip
     # Physics is held here and was free there: its parameters count once, on both sides.
     gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     return Promoted(fit=result, gain=gain, axes=axes)
+
+
+def axis_gains(result: Fit) -> dict[str, float]:
+    """Axis -> how much BIC loses when its disturbance state is taken away and all else stays as it is."""
+    problem, theta = result.problem, result.theta
+    price = float(np.log(max(result.n_samples, 1)))
+    out: dict[str, float] = {}
+    for i, u in enumerate(problem.unknowns):
+        axis = u.name.removeprefix("noise.process.disturbance.")
+        if axis == u.name:
+            continue
+        still = theta.copy()
+        still[i] = max(problem.lower[i], theta[i] - SILENT)
+        value = problem.evaluate(still, 0)
+        out[axis] = 2 * (value.likelihood + result.loglik) - price if value.valid else 0.0
+    return out
 
 
 def _states(result: Fit) -> int:
     return sum(n.startswith("disturbance") for n in result.model.dynamics.noises.names) + len(result.parameters)
 
 
-def _library(z: FloatArray, names: Sequence[str]) -> tuple[FloatArray, list[str], list[tuple[str, ...]]]:
-    """Columns of signals, products of two, v|v|, sin and cos of the heading; their texts and the signals they use."""
-    columns: list[FloatArray] = []
-    texts: list[str] = []
-    uses: list[tuple[str, ...]] = []
-    at = {n: i for i, n in enumerate(names)}
-    plain = [n for n in names if n != "psi"]
-    for n in plain:
-        columns += [z[:, at[n]], z[:, at[n]] * np.abs(z[:, at[n]])]
-        texts += [n, f"{n} |{n}|"]
-        uses += [(n,), (n,)]
-    for a, b in itertools.combinations(plain, 2):
-        columns.append(z[:, at[a]] * z[:, at[b]])
-        texts.append(f"{a} {b}")
-        uses.append((a, b))
-    if "psi" in at:
-        columns += [np.sin(z[:, at["psi"]]), np.cos(z[:, at["psi"]])]
-        texts += ["sin(psi)", "cos(psi)"]
-        uses += [("psi",), ("psi",)]
-    if "height" in at:
-        columns.append(1.0 / np.maximum(np.abs(z[:, at["height"]]), 0.05) ** 2)
-        texts.append("1/height^2")
-        uses.append(("height",))
-    return np.column_stack(columns), texts, uses
-
-
 def _law(
-    channel: str, unit: str, z: FloatArray, y: FloatArray, names: Sequence[str], flights: Sequence[str], seed: int
-) -> Leftover:
-    library, texts, uses = _library(z, names)
+    channel: str, unit: str, library: Sequence[Term], y: FloatArray, flights: Sequence[str], seed: int, gain: float = 0.0
+) -> Leftover:  # fmt: skip
     y = y - y.mean()
     rms = float(np.sqrt(np.mean(y * y)))
-    none = Leftover(channel=channel, unit=unit, rms=rms, share=0.0, terms={}, depends_on=())
-    spread = library.std(axis=0)
-    keep = spread > 1e-9 * np.maximum(np.abs(library).max(axis=0), 1e-12)
-    library, texts = library[:, keep], [t for t, k in zip(texts, keep, strict=True) if k]
-    uses = [u for u, k in zip(uses, keep, strict=True) if k]
-    x = (library - library.mean(axis=0)) / spread[keep]
+    none = Leftover(channel=channel, unit=unit, rms=rms, share=0.0, terms={}, depends_on=(), gain=gain)
+    raw = np.column_stack([t.values for t in library])
+    spread = raw.std(axis=0)
+    keep = np.flatnonzero(spread > 1e-9 * np.maximum(np.abs(raw).max(axis=0), 1e-12))
+    x = (raw[:, keep] - raw[:, keep].mean(axis=0)) / spread[keep]
     stretch = _stretches(flights)
     labels = np.unique(stretch)
-    if rms == 0 or labels.size < 4:
+    if rms == 0 or labels.size < 4 or not keep.size:
         return none
     rng = np.random.default_rng(seed)
     counts = np.zeros(x.shape[1])
     for _ in range(HALVES):
         half = np.isin(stretch, rng.choice(labels, labels.size // 2, replace=False))
         counts[_forward(x[half], y[half])] += 1
-    stable = np.flatnonzero(counts >= STABLE * HALVES)[:TERMS]
+    stable = np.flatnonzero(counts >= STABLE * HALVES)
+    stable = stable[np.argsort(-counts[stable], kind="stable")][:TERMS]
     if not stable.size:
         return none
-    left, error = 0.0, 0.0
-    for s in labels:
-        out = stretch == s
-        c = np.linalg.lstsq(x[~out][:, stable], y[~out], rcond=None)[0]
-        error += float(((y[out] - x[out][:, stable] @ c) ** 2).sum())
-        left += float((y[out] ** 2).sum())
     c = np.linalg.lstsq(x[:, stable], y, rcond=None)[0]
-    terms = {texts[i]: float(v / spread[keep][i]) for i, v in zip(stable, c, strict=True)}
-    looks = tuple(dict.fromkeys(n for i in stable for n in uses[i]))
-    return Leftover(channel=channel, unit=unit, rms=rms, share=1 - error / left, terms=terms, depends_on=looks)
+    used = [library[keep[i]] for i in stable]
+    return Leftover(
+        channel=channel, unit=unit, rms=rms, share=_share(x[:, stable], y, stretch, flights), gain=gain,
+        terms={t.text: float(v / spread[keep[i]]) for t, i, v in zip(used, stable, c, strict=True)},
+        depends_on=tuple(dict.fromkeys(n for t in used for n in t.uses)), codes=tuple(t.code for t in used),
+    )  # fmt: skip
+
+
+def _share(x: FloatArray, y: FloatArray, stretch: Any, flights: Sequence[str]) -> float:
+    """Share of the variance of y explained on flights that were left out (on stretches, where there is one flight).
+
+    Neighbouring stretches of a flight share slow signals; other flights do not.
+    """
+    names = np.asarray(flights)
+    label = names if len(set(flights)) > 1 else stretch
+    left, error = 0.0, 0.0
+    for s in np.unique(label):
+        out = label == s
+        c = np.linalg.lstsq(x[~out], y[~out], rcond=None)[0]
+        error += float(((y[out] - x[out] @ c) ** 2).sum())
+        left += float((y[out] ** 2).sum())
+    return 1 - error / left
 
 
 def _stretches(flights: Sequence[str]) -> Any:

@@ -1,4 +1,4 @@
-"""What is left over is called a law only where a few signals explain it on stretches that were left out."""
+"""What is left over is called a law only where a few signals explain it on flights that were left out."""
 
 from __future__ import annotations
 
@@ -6,22 +6,29 @@ import numpy as np
 import pytest
 
 from greybox.discovery.leftover import SHARE, Leftover, _law
+from greybox.discovery.terms import terms
+from tests.discovery.small_world import vehicle
 
-NAMES = ("velocity.x", "velocity.y", "p", "q", "height", "psi", "u1")
+NAMES = (
+    "body_velocity.x", "body_velocity.y", "p", "q", "position.z",
+    "attitude.w", "attitude.x", "attitude.y", "attitude.z", "u1", "u2", "u3", "u4",
+)  # fmt: skip
 
 
 def signals(n: int = 400, seed: int = 0) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Slow signals of two flights, (n, 7), and the flight of every row."""
+    """Slow signals of two flights that yaw on the spot, (n, 13), and the flight of every row."""
     rng = np.random.default_rng(seed)
     white = rng.standard_normal((n + 40, len(NAMES)))
     z = np.stack([np.convolve(c, np.ones(40) / 40, "valid")[:n] for c in white.T], axis=1) * 5
-    z[:, NAMES.index("height")] = 1.0 + 0.4 * np.tanh(z[:, NAMES.index("height")])
-    z[:, NAMES.index("psi")] *= 3
+    z[:, NAMES.index("position.z")] = 1.0 + 0.4 * np.tanh(z[:, NAMES.index("position.z")])
+    half = 1.5 * z[:, NAMES.index("attitude.z")]
+    z[:, 5:9] = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    z[:, 9:] = 0.6 + 0.05 * np.tanh(z[:, 9:])
     return z, ("a",) * (n // 2) + ("b",) * (n - n // 2)
 
 
 def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -> Leftover:
-    return _law("torque.z", "N m", z, y, NAMES, flights, seed)
+    return _law("torque.z", "N m", terms("torque.z", NAMES, z, vehicle()), y, flights, seed)
 
 
 def column(z: np.ndarray, name: str) -> np.ndarray:
@@ -31,21 +38,23 @@ def column(z: np.ndarray, name: str) -> np.ndarray:
 def test_a_planted_law_is_written_down_with_its_coefficients():
     z, flights = signals()
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(z))
-    found = law(0.3 * np.sin(column(z, "psi")) - 0.2 * column(z, "p") * np.abs(column(z, "p")) + noise, z, flights)
+    north = 1 - 2 * column(z, "attitude.z") ** 2
+    found = law(0.3 * north - 0.2 * column(z, "p") * np.abs(column(z, "p")) + noise, z, flights)
     assert found.lawful
     assert found.share > 0.9
-    assert set(found.depends_on) == {"psi", "p"}
-    assert found.terms["sin(psi)"] == pytest.approx(0.3, abs=0.02)
+    assert "p" in found.depends_on
+    assert {"north.y", "east.x"} & set(found.depends_on)  # the same thing, of a level craft
+    assert max(found.terms.get("north.y", 0), found.terms.get("east.x", 0)) == pytest.approx(0.3, abs=0.02)
     assert found.terms["p |p|"] == pytest.approx(-0.2, abs=0.02)
     assert found.to_dict()["proposal"].startswith("torque.z = ")
 
 
 def test_a_product_of_two_signals_is_found():
     z, flights = signals(seed=4)
-    y = column(z, "velocity.x") * column(z, "u1") + 0.1 * np.random.default_rng(2).standard_normal(len(z))
+    y = column(z, "body_velocity.x") * column(z, "q") + 0.1 * np.random.default_rng(2).standard_normal(len(z))
     found = law(y, z, flights)
     assert found.lawful
-    assert set(found.depends_on) == {"velocity.x", "u1"}
+    assert set(found.depends_on) == {"velocity.x", "q"}
 
 
 @pytest.mark.parametrize("colour", [1, 4])

@@ -1,0 +1,156 @@
+"""Terms: what a law of the leftover may be made of, as numbers along the flight and as a line of an effect file.
+
+Signals are those that the physics of multirotors knows: body velocity, rates, directions of gravity and north in body axes,
+place and height, and the rotors by their collective sums of nu^2 (thrust, roll, pitch and yaw, as the geometry mixes
+them). Laws are linear in terms: signals, x |x|, products of signals that occur together in mechanics, 1/height^2, and
+bumps over the rotor speed for a thrust law that is not a parabola. Few terms on purpose: a smoothed discrepancy has no
+more independent values than the flight has correlation times.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.frames import numeric
+from greybox.model.dynamics import Dynamics
+from greybox.model.vehicle import Vehicle
+from greybox.residual.features import available
+from greybox.symbolic import FloatArray
+
+BUMPS = 6
+"""Places of the bumps over the rotor speed."""
+PAIRS = (
+    ("velocity", "velocity"), ("rate", "rate"), ("velocity", "rate"), ("velocity", "collective"), ("rate", "collective"),
+    ("heading", "place"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Term:
+    """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`, values (N,)."""
+
+    text: str
+    code: str
+    uses: tuple[str, ...]
+    values: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Signal:
+    name: str
+    kind: str
+    code: str
+    values: FloatArray
+
+
+def wanted_features(dynamics: Dynamics) -> tuple[str, ...]:
+    """Names of the model's features that `terms` reads."""
+    there = available(dynamics)
+    rotors = [n for n in there if n[:2] == "nu"] or [n for n in dynamics.inputs.names if n[0] == "u"]
+    names = [f"body_velocity.{a}" for a in "xyz"] + ["p", "q", "r"] + [f"attitude.{a}" for a in "wxyz"]
+    names += [f"position.{a}" for a in "xyz"] + ["vbat"] + rotors
+    return tuple(n for n in names if n in there)
+
+
+def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
+    """Terms for a law of `channel` (force.x, ...) from the features `names` with values z (N, m)."""
+    signals = _signals(names, z, vehicle)
+    out: list[Term] = []
+    for s in signals:
+        out.append(_term(s.name, s.code, (s.name,), s.values))
+        if s.kind in ("velocity", "rate", "place"):
+            out.append(
+                _term(f"{s.name} |{s.name}|", f"{s.code} * ca.fabs({s.code})", (s.name,), s.values * abs(s.values))
+            )
+        if s.kind in ("velocity", "place"):
+            out.append(_term(f"{s.name}^2", f"{s.code} ** 2", (s.name,), s.values**2))
+        if s.name == "height":
+            near = f"1 / ca.fmax(ca.fabs({s.code}), 0.05) ** 2"
+            out.append(_term("1/height^2", near, (s.name,), 1 / np.maximum(abs(s.values), 0.05) ** 2))
+    for a, b in itertools.combinations(signals, 2):
+        if (a.kind, b.kind) in PAIRS or (b.kind, a.kind) in PAIRS:
+            out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
+    return [*out, *_bumps(channel, names, z, vehicle)]
+
+
+def _term(text: str, code: str, uses: Iterable[str], values: FloatArray) -> Term:
+    return Term(text=text, code=code, uses=tuple(dict.fromkeys(uses)), values=np.asarray(values, dtype=float))
+
+
+def _rotors(names: Sequence[str], z: FloatArray) -> FloatArray:
+    """Rotor speeds or, without rotor states, commands (N, n); (N, 0) where the features hold neither."""
+    return z[:, [i for i, n in enumerate(names) if n[:2] == "nu" or (n[0] == "u" and n[1:].isdigit())]]
+
+
+def _weights(vehicle: Vehicle) -> dict[str, list[float]]:
+    """Collective -> weight of every rotor: thrust, and the moments about the body axes that its thrust and drag give."""
+    rows = vehicle.rotors
+    return {
+        "thrust": [1.0] * len(rows),
+        "roll": [round(float(r.position[1]), 6) for r in rows],
+        "pitch": [-round(float(r.position[0]), 6) for r in rows],
+        "yaw": [-float(r.spin) for r in rows],
+    }
+
+
+def _signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[_Signal]:
+    at = {n: z[:, i] for i, n in enumerate(names)}
+    out: list[_Signal] = []
+
+    def add(name: str, kind: str, code: str, values: FloatArray) -> None:
+        out.append(_Signal(name=name, kind=kind, code=code, values=values))
+
+    for i, a in enumerate("xyz"):
+        if f"body_velocity.{a}" in at:
+            add(f"velocity.{a}", "velocity", f"flow.velocity[{i}]", at[f"body_velocity.{a}"])
+    for i, a in enumerate("pqr"):
+        if a in at:
+            add(a, "rate", f"flow.omega[{i}]", at[a])
+    if "attitude.w" in at:
+        q = np.column_stack([at[f"attitude.{a}"] for a in "wxyz"])
+        q = q / np.linalg.norm(q, axis=1, keepdims=True)
+        for row, name, kind in ((2, "up", "tilt"), (1, "north", "heading"), (0, "east", "heading")):
+            axis = np.zeros((len(q), 3))
+            axis[:, row] = 1.0
+            body = numeric("rotate_inverse", q, axis)
+            for i, a in enumerate("xyz"):
+                add(f"{name}.{a}", kind, f"flow.rotation[{row}, {i}]", body[:, i])
+    for i, a in enumerate("xyz"):
+        if f"position.{a}" in at:
+            add("height" if a == "z" else f"position.{a}", "place", f"flow.position[{i}]", at[f"position.{a}"])
+    if "vbat" in at:
+        add("vbat", "battery", "flow.vbat", at["vbat"])
+    nu = _rotors(names, z)
+    if nu.shape[1] == len(vehicle.rotors):
+        for name, w in _weights(vehicle).items():
+            kind = "collective" if name == "thrust" else "mix"
+            add(f"rotors.{name}", kind, f"ca.dot(ca.DM({w}), flow.nu**2)", nu**2 @ np.array(w))
+    return out
+
+
+def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
+    """Sums over rotors of exp(-((nu - c) / width)^2), weighted as the rotor's thrust enters the channel."""
+    mix = {"force.z": "thrust", "torque.x": "roll", "torque.y": "pitch", "torque.z": "yaw"}.get(channel)
+    nu = _rotors(names, z)
+    if mix is None or nu.shape[1] != len(vehicle.rotors):
+        return []
+    low, high = np.quantile(nu, [0.02, 0.98])
+    if high - low < 1e-3:
+        return []
+    width = round(float(high - low) / (BUMPS - 1), 4)
+    w = _weights(vehicle)[mix]
+    out = []
+    for c in np.linspace(low, high, BUMPS):
+        place = round(float(c), 4)
+        out.append(
+            _term(
+                f"rotors.{mix}(nu near {place:g})",
+                f"ca.dot(ca.DM({w}), ca.exp(-(((flow.nu - {place}) / {width}) ** 2)))", ("nu",),
+                np.exp(-(((nu - place) / width) ** 2)) @ np.array(w),
+            )
+        )  # fmt: skip
+    return out

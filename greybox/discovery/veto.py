@@ -1,0 +1,181 @@
+"""Veto: a name must also earn its place on flights that were not searched, and explain more than it leaves.
+
+Likelihood on the training flights takes whatever bends the model towards the data, a slightly wrong law included. Two
+checks stand against that.
+
+1. Held-out flights. With the effect the one-step errors of flights that were not searched must be more likely, and, unless
+   it is an effect of a sensor, open-loop errors up to a second ahead must not grow: the relative change of the mean square,
+   averaged over channel groups and horizons, with the spread between blocks of one second.
+2. The law that is left. Where an axis that the effect acts on still follows a law, or is deficient beyond what the effect
+   itself explained, the effect's form is wrong there: the name is taken back and the axis is reported as unnamed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.discovery.gap import Foresight, foresee
+from greybox.discovery.leftover import Leftover
+from greybox.discovery.nested import NestedFit
+from greybox.errors import GreyboxError
+from greybox.estimation.engine import engine_for
+from greybox.estimation.filtering import Filter
+from greybox.estimation.fit import Fit
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+
+WORSE = -1.0
+"""Standard errors below zero from which on the mean square ahead counts as grown."""
+NOTHING = 1e-3
+"""Relative change of the mean square ahead below which an effect adds nothing, unless that is clear."""
+LEFT = 0.5
+"""Share of the effect's own variance on its main axis that a law of the leftover may have at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Withheld:
+    """`effects` that passed the tests and the refit but not this; `reason` in words, with the two gains (None: not asked):
+    log likelihood one step ahead, and relative fall of the mean square ahead, on flights that were not searched."""
+
+    effects: tuple[str, ...]
+    reason: str
+    loglik_gain: float | None = None
+    ahead_gain: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in discovery.json."""
+        return {
+            "effects": list(self.effects), "reason": self.reason, "loglik_gain": self.loglik_gain,
+            "ahead_gain": self.ahead_gain,
+        }  # fmt: skip
+
+
+class HeldOut:
+    """Flights that were not searched, and what fits say on them (remembered, as every fit is asked twice)."""
+
+    def __init__(self, data: Dataset, adapt: float | None = None) -> None:
+        self.data, self.adapt = data, adapt
+        self._seen: dict[int, tuple[Fit, Foresight]] = {}
+
+    def foresight(self, fitted: NestedFit) -> Foresight:
+        """Errors of one fit. Raises `DataError`, `FitError`."""
+        key = id(fitted.fit)
+        if key not in self._seen:
+            self._seen[key] = fitted.fit, foresee(fitted.fit.model, self.data, adapt=self.adapt)
+        return self._seen[key][1]
+
+    def withheld(self, before: NestedFit, after: NestedFit) -> Withheld | None:
+        """Why what `after` adds to `before` does not hold on these flights; None where it does or cannot be asked."""
+        added = tuple(e for e in after.effects if e not in before.effects)
+        try:
+            old, new = self.foresight(before), self.foresight(after)
+        except GreyboxError:
+            return None
+        gain = new.loglik - old.loglik
+        if gain <= 0:
+            reason = "one-step errors of flights that were not searched are no more likely with it"
+            return Withheld(effects=added, reason=reason, loglik_gain=gain)
+        stages = {e.name: e.stage for e in getattr(after.fit.model.physics, "effects", ())}
+        if all(stages.get(n) == "sensor" for n in added):
+            return None
+        ahead, error = ahead_gain(old, new)
+        if ahead <= WORSE * error or (ahead < NOTHING and ahead < error):
+            reason = "errors ahead on flights that were not searched do not shrink with it"
+            return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead)
+        return None
+
+
+def ahead_gain(old: Foresight, new: Foresight) -> tuple[float, float]:
+    """(relative fall of the mean square ahead, mean over groups and horizons above one sample; its standard error)."""
+    rows: list[FloatArray] = []
+    for key, blocks in old.own.items():
+        others = new.own.get(key, [])
+        if key[1] == 0 or not blocks or len(others) != len(blocks):
+            continue
+        size = sum(b.size for b in blocks)
+        level = sum(float(b.sum()) for b in blocks) / max(size, 1)
+        if level > 0 and size:
+            change = [float(b.sum() - o.sum()) for b, o in zip(blocks, others, strict=True)]
+            rows.append(np.array(change) / (level * size) * len(blocks))
+    if not rows:
+        return 0.0, 0.0
+    length = min(len(r) for r in rows)
+    per_block = np.mean([r[:length] for r in rows], axis=0)
+    return float(per_block.mean()), float(per_block.std(ddof=1) / np.sqrt(length)) if length > 1 else 0.0
+
+
+def wrench_of(model: IdentifiedModel, data: Dataset, effects: Sequence[str], null: Mapping[str, float]) -> FloatArray:
+    """Force and torque, body axes [N, N m] (N, 6), that `effects` bring along the filtered flights, without their mean."""
+    dynamics = model.dynamics
+    names = [d.name for d in dynamics.parameters]
+    runner = Filter(model)
+    engine = engine_for(dynamics, ())
+    at = {n: i for i, n in enumerate(dynamics.states.names)}
+    mass = model.values["mass"]
+    inertia = np.array([model.values[f"inertia.{a}{a}"] for a in "xyz"])
+    out = []
+    for flight in data:
+        p = model.flight_vector(flight.name)
+        without = p.copy()
+        for i, n in enumerate(names):
+            if n.split(".")[0] in effects:
+                without[i] = null.get(n, 0.0)
+        for segment in flight.segments:
+            filtered = runner.run(segment, p=p)
+            rows = np.arange(filtered.record.n - 2)
+            ends = []
+            for vector in (p, without):
+                _, states = engine.rollout(
+                    starts=filtered.states[rows], rows=rows, horizon=2, inputs=filtered.record.inputs, p=vector,
+                    dt=filtered.record.dt, want_states=True,
+                )  # fmt: skip
+                assert states is not None
+                ends.append(states[:, 1])
+            change = (ends[0] - ends[1]) / filtered.record.dt
+            wrench = np.zeros((len(rows), 6))
+            if "velocity.x" in at:
+                turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
+                if "attitude.w" in at:
+                    from greybox.frames import numeric
+
+                    q = filtered.states[rows][:, [at[f"attitude.{a}"] for a in "wxyz"]]
+                    turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
+                wrench[:, :3] = mass * turned
+            wrench[:, 3:] = inertia * change[:, [at[f"rate.{a}"] for a in "xyz"]]
+            out.append(wrench)
+    whole = np.concatenate(out)
+    return whole - whole.mean(axis=0)
+
+
+def misfit(
+    effects: Sequence[str], wrench: FloatArray, levels: Mapping[str, float], left: Sequence[Leftover], gained: float
+) -> Withheld | None:
+    """Why `effects`, which bring the `wrench` (N, 6) and improved BIC by `gained`, do not fit what is `left` (unnamed axes).
+
+    Judged on the axis where the wrench is largest against the white noise `levels` of the model.
+    """
+    axes = [f"force.{a}" for a in "xyz"] + [f"torque.{a}" for a in "xyz"]
+    size = np.sqrt((wrench**2).mean(axis=0))
+    ratio = [s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in zip(axes, size, strict=True)]
+    if not max(ratio) > 0:
+        return None
+    main = int(np.argmax(ratio))
+    for law in left:
+        if law.channel != axes[main]:
+            continue
+        rest = law.share * law.rms**2 if law.lawful else 0.0
+        if rest > LEFT * size[main] ** 2:
+            return Withheld(
+                effects=tuple(effects),
+                reason=f"{law.channel} still follows another law after it, as large as the effect",
+            )
+        if law.gain > gained:
+            return Withheld(
+                effects=tuple(effects), reason=f"{law.channel} misses more after it than the effect explained"
+            )
+    return None
