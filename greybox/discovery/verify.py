@@ -1,0 +1,116 @@
+"""Verify: take back names whose law does not fit, write down what is left, and measure how far the gap closed.
+
+The disturbance states of the last model say what is left. Names that leave more on their main axis than they explained
+are taken back (greybox.discovery.veto) and the model is fitted without them, so that what they had bent towards the data is
+reported as unnamed. Laws of unnamed axes become effects (greybox.discovery.proposal); refitted with them, the model shows
+what they close. On request a Gaussian process learns what the bare model misses: the attainable line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from greybox.data import Dataset
+from greybox.discovery.gap import GapRow, Squares, gap, squares
+from greybox.discovery.leftover import Promoted, promote
+from greybox.discovery.name import Addition
+from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.proposal import proposed
+from greybox.discovery.veto import Withheld, misfit, wrench_of
+from greybox.errors import GreyboxError
+from greybox.estimation.fit import Fit, fit, noise_of
+
+SENSED = {"accelerometer": "force"}
+"""What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verified:
+    """The last fit, the additions that stay, the names that were taken back, and what is left."""
+
+    at: NestedFit
+    additions: list[Addition]
+    withheld: list[Withheld]
+    leftover: Promoted
+
+
+def verified(nest: Nest, at: NestedFit, additions: Sequence[Addition], train: Dataset, *, seed: int = 0) -> Verified:
+    """Take back names that leave more than they explain; repeated, as what was taken back may have served another."""
+    kept, withheld = list(additions), list[Withheld]()
+    leftover = promote(at.fit, train, seed=seed)
+    while kept and leftover.unnamed:
+        wrong = [w for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
+        if not wrong:
+            break
+        withheld += wrong
+        gone = {n for w in wrong for n in w.effects}
+        kept = [replace(a, effects=tuple(e for e in a.effects if e not in gone)) for a in kept]
+        kept = [a for a in kept if a.effects]
+        at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
+        leftover = promote(at.fit, train, seed=seed)
+    return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
+
+
+def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:
+    stages = {e.name: e.stage for e in at.fit.model.physics.effects}
+    if all(stages.get(n) == "sensor" for n in addition.effects):
+        kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
+        for axis in leftover.unnamed:
+            if axis.channel.split(".")[0] in kinds and axis.gain > addition.delta_bic:
+                return Withheld(
+                    effects=addition.effects, reason=f"{axis.channel} misses more after it than the effect explained"
+                )
+        return None
+    wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)
+    levels = dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
+    return misfit(addition.effects, wrench, levels, leftover.unnamed, addition.delta_bic)
+
+
+def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None:
+    """`found` refitted with the laws of the leftover as effects; None where there is no law or the refit fails."""
+    effects = proposed(leftover.laws)
+    if not effects:
+        return None
+    model = found.model.physics.with_effect(*effects)
+    own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
+    per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
+    result = fit(
+        model, train, free=[*found.parameters, *own], values=dict(found.model.values), noise=noise_of(found.model),
+        per_flight=per_flight, estimate_noise=found.settings["estimate_noise"], initialisation="nominal",
+    )  # fmt: skip
+    return result if result.status.converged else None
+
+
+def gap_rows(
+    null: Fit, last: Fit, extended: Fit | None, train: Dataset, judged: Dataset, *, adapt: float | None, attainable: bool,
+    seed: int, say: Callable[[str], None], notes: list[str],
+) -> tuple[GapRow, ...]:  # fmt: skip
+    """The gap table; what could not be computed is said in `notes`."""
+    try:
+        before, after = squares(null.model, judged, adapt=adapt), squares(last.model, judged, adapt=adapt)
+    except GreyboxError as error:
+        notes.append(f"no gap table: {error}")
+        return ()
+    proposed_laws: Squares | None = None
+    learned: Squares | None = None
+    if extended is not None:
+        try:
+            proposed_laws = squares(extended.model, judged, adapt=adapt)[0]
+        except GreyboxError as error:
+            notes.append(f"the proposed laws could not be judged: {error}")
+    if attainable:
+        say("attainable line")
+        try:
+            learned = _learned(null, train, judged, adapt=adapt, seed=seed)
+        except GreyboxError as error:
+            notes.append(f"no attainable line: {error}")
+    return tuple(gap(before, after, proposals=proposed_laws, attainable=learned, seed=seed))
+
+
+def _learned(null: Fit, train: Dataset, judged: Dataset, *, adapt: float | None, seed: int) -> Squares:
+    """Errors of the bare model with a Gaussian process that learned what it misses, without any name."""
+    from greybox.residual.learn import learn
+
+    learned = learn(null.model, train, seed=seed)
+    return squares(learned.model, judged, adapt=adapt)[0]
