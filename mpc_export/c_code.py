@@ -10,7 +10,7 @@ What `write_c` changes, each by name and with an error where the text is not as 
 
 The result has no stdio, no malloc and no variables with static storage that change; it compiles with
 `-std=c99 -Wall -Wextra -Wpedantic -Werror -Wno-unused-parameter`. `-std=c99` forbids gcc to fuse multiplication and
-addition; for speed add `-O3 -march=native -ffp-contract=fast` (`FAST_FLAGS`).
+addition; for speed add `-O3 -march=native -ffp-contract=fast -fno-math-errno` (`FAST_FLAGS`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.files import write_atomic
+from mpc_export.c_kernels_products import PRODUCTS
 
 Real = Literal["double", "float"]
 STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter")
-FAST_FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=fast")
+FAST_FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno")
 LIBM = (
     "acos|acosh|asin|asinh|atan|atan2|atanh|cbrt|ceil|copysign|cos|cosh|erf|erfc|exp|exp2|expm1|fabs|floor|fmax|fmin|fmod|"
     "hypot|log|log10|log1p|log2|pow|remainder|rint|round|sin|sinh|sqrt|tan|tanh|tgamma|trunc"
@@ -43,93 +44,6 @@ _SUFFIXES = (
 )
 _FORBIDDEN = ("#include <stdio", "malloc(", "#error")
 
-_MTIMES_DENSE = """\
-static void casadi_mtimes_dense(const casadi_real* restrict x, casadi_int nrow_x, casadi_int ncol_x,
-    const casadi_real* restrict y, casadi_int ncol_y, casadi_real* restrict z, casadi_int tr) {
-  casadi_int i, j, k, l;
-  if (tr) {
-    for (i=0; i<ncol_y; ++i, y+=nrow_x, z+=ncol_x) {
-      for (j=0; j<ncol_x; ++j) {
-        const casadi_real* restrict c = x + j*nrow_x;
-        casadi_real s[8] = {0}, r = 0;
-        for (k=0; k+8<=nrow_x; k+=8) {
-          for (l=0; l<8; ++l) s[l] += c[k+l]*y[k+l];
-        }
-        for (; k<nrow_x; ++k) r += c[k]*y[k];
-        z[j] += r + (((s[0]+s[4]) + (s[1]+s[5])) + ((s[2]+s[6]) + (s[3]+s[7])));
-      }
-    }
-  } else {
-    for (i=0; i<ncol_y; ++i, y+=ncol_x, z+=nrow_x) {
-      for (k=0; k+4<=ncol_x; k+=4) {
-        const casadi_real* restrict a = x + k*nrow_x;
-        const casadi_real* restrict b = a + nrow_x;
-        const casadi_real* restrict c = b + nrow_x;
-        const casadi_real* restrict d = c + nrow_x;
-        const casadi_real ya = y[k], yb = y[k+1], yc = y[k+2], yd = y[k+3];
-        for (j=0; j<nrow_x; ++j) z[j] += (a[j]*ya + b[j]*yb) + (c[j]*yc + d[j]*yd);
-      }
-      for (; k<ncol_x; ++k) {
-        const casadi_real* restrict a = x + k*nrow_x;
-        const casadi_real ya = y[k];
-        for (j=0; j<nrow_x; ++j) z[j] += a[j]*ya;
-      }
-    }
-  }
-}
-"""
-
-_MTIMES = """\
-static void casadi_mtimes(const casadi_real* restrict x, const casadi_int* sp_x, const casadi_real* restrict y,
-    const casadi_int* sp_y, casadi_real* restrict z, const casadi_int* sp_z, casadi_real* restrict w, casadi_int tr) {
-  const casadi_int *colind_x = sp_x+2, *row_x = sp_x + 2 + sp_x[1]+1;
-  const casadi_int *colind_y = sp_y+2, *row_y = sp_y + 2 + sp_y[1]+1;
-  const casadi_int *colind_z = sp_z+2, *row_z = sp_z + 2 + sp_z[1]+1;
-  casadi_int cc, kk, k1;
-  for (cc=0; cc<sp_z[1]; ++cc) {
-    if (tr) {
-      for (kk=colind_y[cc]; kk<colind_y[cc+1]; ++kk) w[row_y[kk]] = y[kk];
-      for (kk=colind_z[cc]; kk<colind_z[cc+1]; ++kk) {
-        const casadi_int from = colind_x[row_z[kk]], n = colind_x[row_z[kk]+1] - from;
-        const casadi_int* r = row_x + from;
-        const casadi_real* restrict c = x + from;
-        casadi_real s = 0;
-        if (n > 0 && r[n-1] - r[0] == n-1) {  /* a column without gaps needs no row numbers */
-          const casadi_real* restrict v = w + r[0];
-          casadi_real t[8] = {0};
-          casadi_int l;
-          for (k1=0; k1+8<=n; k1+=8) {
-            for (l=0; l<8; ++l) t[l] += c[k1+l]*v[k1+l];
-          }
-          for (; k1<n; ++k1) s += c[k1]*v[k1];
-          s += ((t[0]+t[4]) + (t[1]+t[5])) + ((t[2]+t[6]) + (t[3]+t[7]));
-        } else {
-          for (k1=0; k1<n; ++k1) s += c[k1]*w[r[k1]];
-        }
-        z[kk] += s;
-      }
-    } else {
-      for (kk=colind_z[cc]; kk<colind_z[cc+1]; ++kk) w[row_z[kk]] = z[kk];
-      for (kk=colind_y[cc]; kk<colind_y[cc+1]; ++kk) {
-        const casadi_int from = colind_x[row_y[kk]], n = colind_x[row_y[kk]+1] - from;
-        const casadi_int* r = row_x + from;
-        const casadi_real* restrict c = x + from;
-        const casadi_real s = y[kk];
-        if (n > 0 && r[n-1] - r[0] == n-1) {
-          casadi_real* restrict v = w + r[0];
-          for (k1=0; k1<n; ++k1) v[k1] += c[k1]*s;
-        } else {
-          for (k1=0; k1<n; ++k1) w[r[k1]] += c[k1]*s;
-        }
-      }
-      for (kk=colind_z[cc]; kk<colind_z[cc+1]; ++kk) z[kk] = w[row_z[kk]];
-    }
-  }
-}
-"""
-
-_BETTER = {"casadi_mtimes_dense": _MTIMES_DENSE, "casadi_mtimes": _MTIMES}
-
 
 class CKernel(Protocol):
     """C that computes a whole CasADi function in place of its generated body."""
@@ -138,9 +52,10 @@ class CKernel(Protocol):
     def name(self) -> str:
         """Name of the CasADi function that it stands for."""
 
-    def c_source(self, symbol: str, real: Real) -> str:
-        """Definitions, all `static`, ending with `static int symbol(const casadi_real** arg, casadi_real** res,
-        casadi_int* iw, casadi_real* w, int mem)`. It may use casadi_real and casadi_int, <math.h> and <stdint.h>."""
+    def c_source(self, symbol: str, real: Real) -> tuple[dict[str, str], str]:
+        """(shared, body). `body` defines `static int symbol(const casadi_real** arg, casadi_real** res, casadi_int* iw,
+        casadi_real* w, int mem)` and may use casadi_real, casadi_int and <math.h>; `shared` are static definitions that it
+        needs, by name, in order: one of each name goes into the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +140,7 @@ def write_c(
         generator.add(f)
     text = str(generator.dump())
     text, used = _with_kernels(text, kernels, real)
-    for name, body in _BETTER.items():
+    for name, body in PRODUCTS.items():
         if f"#define {name} " in text:
             text = _replaced(text, name, body)
     text = _pruned(_with_static_helpers(text))
@@ -281,18 +196,26 @@ def single_precision(text: str) -> str:
 
 def _definition(text: str, name: str) -> tuple[int, int]:
     """Where the definition of function `name` starts and ends. Raises `ModelError` unless there is exactly one."""
-    heads = list(re.finditer(rf"^[a-z][\w \*]*?\b{name}\s*\([^;{{}}]*\)\s*\{{", text, re.MULTILINE))
+    heads = [m for m in re.finditer(rf"\b{name} ?\(", text) if _defines(text, m)]
     if len(heads) != 1:
         raise ModelError(
             f"generated C defines {name} {len(heads)} times", expected="once", fix="report the CasADi version"
         )
-    start, depth, at = heads[0].start(), 1, heads[0].end()
-    for brace in re.finditer(r"[{}]", text[at:]):
+    start, at = text.rfind("\n", 0, heads[0].start()) + 1, text.index("{", heads[0].end()) + 1
+    depth = 1
+    for brace in re.compile(r"[{}]").finditer(text, at):
         depth += 1 if brace[0] == "{" else -1
         if depth == 0:
-            end = at + brace.end()
+            end = brace.end()
             return start, end + 1 if text[end : end + 1] == "\n" else end
     raise ModelError(f"generated C does not end {name}", fix="report the CasADi version")
+
+
+def _defines(text: str, name: re.Match[str]) -> bool:
+    """Whether a name with its opening bracket starts a definition, not a call or a declaration."""
+    before = text[text.rfind("\n", 0, name.start()) + 1 : name.start()]
+    after = re.compile(r"[^;{}]*\)\s*\{").match(text, name.end())
+    return re.fullmatch(r"[a-z][\w \*]*", before) is not None and after is not None
 
 
 def _replaced(text: str, name: str, body: str) -> str:
@@ -301,14 +224,20 @@ def _replaced(text: str, name: str, body: str) -> str:
 
 
 def _with_kernels(text: str, kernels: Sequence[CKernel], real: Real) -> tuple[str, tuple[str, ...]]:
-    used = []
+    used: list[str] = []
+    shared: dict[str, str] = {}
     for kernel in kernels:
         found = re.findall(rf"^/\* {re.escape(kernel.name)}:\(.*\) \*/\nstatic int (casadi_f\d+)\(", text, re.MULTILINE)
         if len(found) > 1:
             raise ModelError(f"{len(found)} different functions are named {kernel.name}", expected="one")
         if found:
-            text = _replaced(text, found[0], kernel.c_source(found[0], real))
+            definitions, body = kernel.c_source(found[0], real)
+            shared = {**shared, **{k: v for k, v in definitions.items() if k not in shared}}
+            text = _replaced(text, found[0], body)
             used.append(kernel.name)
+    first = re.search(r"^/\* \w+:\(.*\) \*/\nstatic int casadi_f", text, re.MULTILINE)
+    if shared and first:
+        text = text[: first.start()] + "\n".join(shared.values()) + "\n" + text[first.start() :]
     return text, tuple(used)
 
 
@@ -318,19 +247,19 @@ def _with_static_helpers(text: str) -> str:
 
 def _pruned(text: str) -> str:
     """Without static constants and helpers that are mentioned only where they are defined."""
+    define = re.compile(r"^#define (casadi_\w+) .*\n", re.MULTILINE)
+    constant = re.compile(r"^static const casadi_(?:real|int) (casadi_\w+)\[[^;]*;\n", re.MULTILINE)
+    helper = re.compile(r"^static (?:void|int|casadi_real|casadi_int) (casadi_\w+)\(", re.MULTILINE)
     while True:
-        body = re.sub(r"^#define casadi_.*$", "", text, flags=re.MULTILINE)
+        body = define.sub("", text)
         count = Counter(re.findall(r"\bcasadi_\w+", body))
-        constants = re.findall(r"^static const casadi_(?:real|int) (casadi_\w+)\[", body, re.MULTILINE)
-        helpers = re.findall(r"^static (?:void|int|casadi_real|casadi_int) (casadi_\w+)\(", body, re.MULTILINE)
-        idle = {n for n in (*constants, *helpers) if count[n] == 1}
+        idle = {n for n in (*constant.findall(body), *helper.findall(body)) if count[n] == 1}
         if not idle:
             return text
-        for name in idle & set(helpers):
+        for name in idle & set(helper.findall(body)):
             text = _replaced(text, name, "")
-        for name in idle:
-            text = re.sub(rf"^static const casadi_(?:real|int) {name}\[[^;]*;\n", "", text, flags=re.MULTILINE)
-            text = re.sub(rf"^#define {name} .*\n", "", text, flags=re.MULTILINE)
+        for pattern in (constant, define):
+            text = pattern.sub(lambda m, idle=idle: "" if m[1] in idle else m[0], text)  # type: ignore[misc]
 
 
 def _exported(text: str, name: str, symbol: str) -> str:

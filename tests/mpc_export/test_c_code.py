@@ -163,10 +163,10 @@ class Twice:
 
     name = "inner"
 
-    def c_source(self, symbol: str, real: str) -> str:
-        return (
+    def c_source(self, symbol: str, real: str) -> tuple[dict[str, str], str]:
+        return {"two": "static const casadi_real two = 2.0;\n"}, (
             f"static int {symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {{\n"
-            "  int i;\n  if (res[0]) for (i = 0; i < 11; ++i) res[0][i] = 2.0*arg[0][i];\n  return 0;\n}\n"
+            "  int i;\n  if (res[0]) for (i = 0; i < 11; ++i) res[0][i] = two*arg[0][i];\n  return 0;\n}\n"
         )
 
 
