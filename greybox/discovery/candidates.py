@@ -1,7 +1,6 @@
 """Candidates: the whole catalogue in one model, every effect at its null; and what cannot be judged, with the reason.
 
-At its null an effect is exactly absent, so that every smaller model is nested in the one that holds them all: one build
-serves the null fit, the score tests and every refit.
+At its null an effect is exactly absent, so that every smaller model is nested in the one that holds them all.
 """
 
 from __future__ import annotations
@@ -16,7 +15,9 @@ from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 
 TOGETHER = (("motor_lag", "command_delay"),)
-"""Effects whose slopes at the null are the same: they always enter a refit together."""
+"""Effects whose slopes at the null are the same: they always enter a refit alone and together."""
+LOOK_ALIKES = (("motor_lag", "command_delay", "sensor_delay", "pose_delay"),)
+"""Effects that a screening ranks badly against each other: where one of them is a contender all are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,11 +37,10 @@ class Candidates:
         """The candidates in the order of the catalogue."""
         return tuple(self.parameters)
 
-    @property
-    def build(self) -> tuple[str, ...]:
-        """All parameters that any fit may free."""
-        wanted = {*self.core, *(p for ps in self.parameters.values() for p in ps)}
-        return tuple(d.name for d in self.model.parameters if d.name in wanted)
+    def only(self, effects: Iterable[str]) -> PhysicsModel:
+        """The model that holds the known effects and some of the candidates."""
+        chosen = set(effects)
+        return self.model.without_effect(*(n for n in self.parameters if n not in chosen))
 
 
 def candidates(

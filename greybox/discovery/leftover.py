@@ -19,6 +19,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.terms import Term, terms, wanted_features
 from greybox.estimation.fit import Fit, fit, noise_of
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.residual.discrepancy import GROUPS, discrepancy
 from greybox.symbolic import FloatArray
 
@@ -28,6 +29,8 @@ STABLE = 0.7
 """Share of the halves in which a term must be chosen."""
 TERMS, HALVES, STRETCHES = 3, 30, 10
 CLEAR = 10.0
+TOLERANCE = 1e-2
+"""Log likelihood at which the fit of the disturbance states stops: levels that run to zero never quite get there."""
 STRONG = 60.0
 """Gain above which an axis counts as deficient although no law was found."""
 SILENT = 12.0
@@ -95,6 +98,7 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
     result = fit(
         found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
         values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
+        solver=LevenbergMarquardt(tolerance=TOLERANCE),
     )  # fmt: skip
     names = wanted_features(result.model.dynamics)
     seen = discrepancy(result.model, data, names)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.discovery.candidates import TOGETHER
-from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.candidates import LOOK_ALIKES, TOGETHER
+from greybox.discovery.nested import Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
 CLEAR = 10.0
@@ -49,17 +49,17 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
         return None
     by_name = {s.name: s for s in scores}
     sets: list[tuple[str, ...]] = [(s.name,) for s in passing]
+    for group in LOOK_ALIKES:
+        if any(s.name in group for s in passing):
+            sets += [(n,) for n in group if n in by_name and by_name[n].judged and (n,) not in sets]
     for pair in TOGETHER:
-        if any(s.name in pair for s in passing):
-            members = tuple(n for n in pair if n in by_name and by_name[n].judged)
-            sets += [(n,) for n in members if (n,) not in sets]
-            if len(members) > 1:
-                sets.append(members)
-    fits: dict[tuple[str, ...], NestedFit] = {}
-    for chosen in sets:
-        first = {k: v for n in chosen for k, v in by_name[n].estimate.items()}
-        found = nest.refit((*at.effects, *chosen), start=at, first=first)
-        if found.fit.converged and not any(found.at_bound(n) for n in chosen):
+        if any(s.name in pair for s in passing) and all(n in by_name and by_name[n].judged for n in pair):
+            sets.append(pair)
+    firsts = [{k: v for n in chosen for k, v in by_name[n].estimate.items()} for chosen in sets]
+    tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
+    fits: dict[tuple[str, ...], Refit] = {}
+    for chosen, found in zip(sets, nest.refits(tasks), strict=True):
+        if found.converged and not any(found.at_bound(n) for n in chosen):
             fits[chosen] = found
     if not fits:
         return None
@@ -81,7 +81,7 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
     return Addition(
         effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
-        delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=fits[best],
+        delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
         scores=tuple(scores),
     )  # fmt: skip
 

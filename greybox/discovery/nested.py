@@ -1,28 +1,90 @@
-"""Nested: fits of any subset of the candidates on one build, each warm-started from the one before.
+"""Nested: fits of any subset of the candidates, each warm-started from the one before, and score tests of the others.
 
-A smaller model is the large one with the other effects held at their null; likelihoods are therefore comparable to the
-last digit, and nothing is compiled twice.
+Every effect is exactly absent at its null, so that likelihoods of different subsets compare to the last digit. A subset is
+fitted on the model that holds just its effects (a step of that model costs a third of one of the whole catalogue); the
+catalogue's model is only run, never differentiated (see `differences`).
+
+Fits are tasks: plain values in, plain values out. With an executor (concurrent.futures, or what looks like one, as
+`client.get_executor()` of dask.distributed) the tasks of a step run side by side, with the same numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+import concurrent.futures
+import pickle
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
-from greybox.discovery.screen import Score, screen
+from greybox.discovery.differences import widened
+from greybox.discovery.screen import Key, Score, screen
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, fit, noise_of
+from greybox.estimation.initialisation import noise_start
 from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import make_problem
+from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Status
+from greybox.model.effects import CATALOGUE
+from greybox.model.model import PhysicsModel
 from greybox.symbolic import FloatArray
 
 BLOCK_SECONDS = 0.5
 """Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
+TOLERANCE = 1e-4
+"""Where a fit stops: within about a hundredth of a standard error; the score tests project what is left off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One fit in plain values: `model` holds just the effects that are free; `known` are unknowns to start from; a fit
+    without any starts its noise levels from the data."""
+
+    effects: tuple[str, ...]
+    model: PhysicsModel
+    free: tuple[str, ...]
+    values: Mapping[str, float]
+    noise: Mapping[str, float] | None
+    known: Mapping[Key, float] | None
+    choices: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refit:
+    """What a task found: `theta` the unknowns, `bounds` the names of parameters that ended at a bound."""
+
+    task: Task
+    theta: Mapping[Key, float]
+    status: Status
+    loglik: float
+    n_samples: int
+    n_parameters: int
+    bounds: frozenset[str]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The effects that were free."""
+        return self.task.effects
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self.status.converged
+
+    @property
+    def bic(self) -> float:
+        """-2 log L + k ln N over parameters and noise levels, N the number of samples (Schwarz 1978)."""
+        return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
+
+    def at_bound(self, effect: str) -> bool:
+        """Whether every parameter of the effect ended at its bound (nothing was found there)."""
+        own = {n for n, _ in self.theta if n.split(".")[0] == effect}
+        return bool(own) and own <= self.bounds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +93,6 @@ class NestedFit:
 
     effects: tuple[str, ...]
     fit: Fit
-    parameters: int
 
     @property
     def loglik(self) -> float:
@@ -49,59 +110,128 @@ class NestedFit:
         return bool(own) and all(e.at_bound for e in own)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _There:
+    """A solver that knows the answer."""
+
+    theta: Mapping[Key, float]
+    status: Status
+    name: str = "levenberg-marquardt"
+
+    def solve(self, problem: Problem, start: FloatArray, progress: Any = None) -> tuple[FloatArray, Status]:
+        """The answer."""
+        return _vector(problem, self.theta), self.status
+
+
+def _vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
+    """Unknowns of the problem at the known values; one flight's own at what all shared, if that is known."""
+    return np.array(
+        [known.get((u.name, u.flight), known.get((u.name, None), u.start)) for u in problem.unknowns], dtype=np.float64
+    )
+
+
+def _canonical(model: PhysicsModel) -> PhysicsModel:
+    """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
+    own = {type(e): e for e in CATALOGUE}
+    return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))
+
+
+def solve(task: Task, data: Dataset) -> Refit:
+    """Carry out one task. Raises `DataError`, `ModelError`."""
+    with threadpool_limits(limits=1):
+        problem = make_problem(
+            _canonical(task.model), data, predictor=Innovation(), criterion=Gaussian(), free=task.free,
+            values=task.values, noise=task.noise, **task.choices,
+        )  # fmt: skip
+        start = noise_start(problem) if task.known is None else _vector(problem, task.known)
+        theta, status = LevenbergMarquardt(tolerance=TOLERANCE).solve(
+            problem, np.clip(start, problem.lower, problem.upper)
+        )
+        value = problem.evaluate(theta, 0)
+    ends = [
+        u.name for u, t in zip(problem.unknowns, theta, strict=True)
+        if u.kind == "parameter" and not u.lower < t < u.upper
+    ]  # fmt: skip
+    return Refit(
+        task=task, theta={(u.name, u.flight): float(t) for u, t in zip(problem.unknowns, theta, strict=True)},
+        status=status, loglik=-value.likelihood, n_samples=sum(r.n for r in problem.records),
+        n_parameters=sum(u.kind != "initial" for u in problem.unknowns), bounds=frozenset(ends),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nest:
-    """Candidates on the training flights. `choices` are further arguments of every fit: `per_flight`, `estimate_noise`."""
+    """Candidates on the training flights. `choices` are further arguments of every fit: `per_flight`, `estimate_noise`.
+    `executor` runs the fits of one step side by side."""
 
     candidates: Candidates
     data: Dataset
     noise: Mapping[str, float] | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
+    executor: concurrent.futures.Executor | None = None
 
-    def refit(
-        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[str, float] | None = None
-    ) -> NestedFit:
+    def task(
+        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None
+    ) -> Task:
         """Fit with `effects` free, from the estimates of `start` and first estimates (of a score test) for new ones."""
         chosen = tuple(effects)
-        free = [*self.candidates.core, *(p for e in chosen for p in self.candidates.parameters[e])]
-        values = dict(self.candidates.null)
-        declared = {d.name: d for d in self.candidates.model.parameters}
+        free = (*self.candidates.core, *(p for e in chosen for p in self.candidates.parameters[e]))
+        model = self.candidates.only(chosen)
+        declared = {d.name: d for d in model.parameters}
+        values = {n: v for n, v in self.candidates.null.items() if n in declared}
+        known: dict[Key, float] | None = None
         if start is not None:
-            values |= {n: e.value for n, e in start.fit.parameters.items() if n in free}
-        for name, value in (first or {}).items():
-            if name in free and name in declared:
-                low, high = declared[name].lower, declared[name].upper
-                values[name] = float(np.clip(value, low, high))
-        result = fit(
-            self.candidates.model, self.data, free=free, values=values, build=self.candidates.build,
+            found = zip(start.fit.problem.unknowns, start.fit.theta, strict=True)
+            known = {(u.name, u.flight): float(t) for u, t in found if u.kind != "parameter" or u.name in free}
+            for (name, flight), value in (first or {}).items():
+                if name in declared:
+                    known[name, flight] = float(np.clip(value, declared[name].lower, declared[name].upper))
+        there = {*declared}
+        choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in there)}
+        return Task(
+            effects=chosen, model=model, free=free, values=values, choices=choices, known=known,
             noise=self.noise if start is None else noise_of(start.fit.model),
-            initialisation="noise" if start is None else "nominal", **self.choices,
         )  # fmt: skip
-        return NestedFit(effects=chosen, fit=result, parameters=len(free))
+
+    def refits(self, tasks: Sequence[Task]) -> list[Refit]:
+        """Carry out tasks, side by side where there is an executor. What cannot be sent runs here."""
+        if self.executor is None or len(tasks) < 2 or not all(map(_sendable, tasks)):
+            return [solve(t, self.data) for t in tasks]
+        return [f.result() for f in [self.executor.submit(solve, t, self.data) for t in tasks]]
+
+    def settle(self, refit: Refit) -> NestedFit:
+        """The whole result of a fit that was carried out as a task."""
+        t = refit.task
+        result = fit(
+            t.model, self.data, free=t.free, values=t.values, noise=t.noise, initialisation="nominal",
+            solver=_There(theta=refit.theta, status=refit.status), **t.choices,
+        )  # fmt: skip
+        return NestedFit(effects=t.effects, fit=result)
+
+    def refit(
+        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None
+    ) -> NestedFit:
+        """One fit and its whole result, see `task`."""
+        return self.settle(self.refits([self.task(effects, start, first)])[0])
 
     def screen(self, at: NestedFit, *, alpha: float = 0.05, draws: int = 999, seed: int = 0) -> list[Score]:
         """Score tests of every candidate that is not in `at`."""
         names = {n: p for n, p in self.candidates.parameters.items() if n not in at.effects}
-        estimates = {n: e.value for n, e in at.fit.parameters.items()}
-        problem = make_problem(
-            self.candidates.model, self.data, predictor=Innovation(), criterion=Gaussian(), free=self.candidates.build,
-            values={**self.candidates.null, **estimates}, noise=noise_of(at.fit.model), build=self.candidates.build,
-            **self.choices,
-        )  # fmt: skip
-        found = {(u.name, u.flight): t for u, t in zip(at.fit.problem.unknowns, at.fit.theta, strict=True)}
-        theta: FloatArray = np.array(
-            [found.get((u.name, u.flight), self.candidates.null.get(u.name, u.start)) for u in problem.unknowns]
-        )
-        block = max(1, round(BLOCK_SECONDS / problem.dt))
-        return screen(problem, problem.evaluate(theta, scores=block), names, alpha=alpha, draws=draws, seed=seed)
+        null = {p: self.candidates.null[p] for ps in names.values() for p in ps}
+        with threadpool_limits(limits=1):
+            problem, theta = widened(
+                at.fit.problem, at.fit.theta, self.candidates.model, self.data, null,
+                per_flight=self.choices.get("per_flight", ()),
+            )  # fmt: skip
+            block = max(1, round(BLOCK_SECONDS / problem.dt))
+            value = problem.evaluate(theta, scores=block)
+            return screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
 
-    def lean(self, at: NestedFit) -> Fit:
-        """The same estimates on the model that holds only the effects that were named (what is saved and flown)."""
-        small = self.candidates.model.without_effect(*(n for n in self.candidates.names if n not in at.effects))
-        free = [*self.candidates.core, *(p for e in at.effects for p in self.candidates.parameters[e])]
-        there = {d.name for d in small.parameters}
-        choices = {**self.choices, "per_flight": [n for n in self.choices.get("per_flight", ()) if n in there]}
-        return fit(
-            small, self.data, free=free, values={n: e.value for n, e in at.fit.parameters.items()},
-            noise=noise_of(at.fit.model), initialisation="nominal", **choices,
-        )  # fmt: skip
+
+def _sendable(task: Task) -> bool:
+    """Whether the task can be pickled."""
+    try:
+        pickle.dumps(task)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
+    return True

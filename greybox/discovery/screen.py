@@ -23,6 +23,8 @@ import scipy.stats
 from greybox.estimation.problem import Problem, Value
 from greybox.symbolic import FloatArray
 
+Key = tuple[str, str | None]
+"""A parameter and, where it has one value per flight, the flight."""
 COLLINEAR = 0.02
 """Share of a parameter's information that must be left when the free parameters are projected out."""
 
@@ -32,8 +34,8 @@ class Score:
     """Test of one candidate. `statistic` is chi^2 with `dof` degrees of freedom in the Fisher metric, `robust` the same
     in the metric of the block scores; `p` for this test alone (robust), `p_family` for the largest of all, `limit` the `p`
     below which the largest of all passes at the level that `screen` was given. `estimate` and `std` are the one-step
-    estimates by parameter. `left` is the smallest share of information that the free parameters leave to a direction of
-    the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
+    estimates by parameter and flight. `left` is the smallest share of information that the free parameters leave to a
+    direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
 
     name: str
     statistic: float
@@ -41,8 +43,8 @@ class Score:
     dof: int
     p: float
     p_family: float
-    estimate: Mapping[str, float]
-    std: Mapping[str, float]
+    estimate: Mapping[Key, float]
+    std: Mapping[Key, float]
     left: float
     judged: bool
     reason: str = ""
@@ -177,6 +179,6 @@ def _unjudged(name: str, reason: str, left: float = 0.0) -> Score:
     )  # fmt: skip
 
 
-def _label(problem: Problem, i: int) -> str:
+def _label(problem: Problem, i: int) -> Key:
     u = problem.unknowns[i]
-    return u.name if u.flight is None else f"{u.name} ({u.flight})"
+    return u.name, u.flight

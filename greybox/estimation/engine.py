@@ -93,13 +93,17 @@ def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
 class Engine:
     """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
 
-    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`. `built` are the
+    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`. One that is not
+    `sensitive` runs without sensitivities only: a large model is then built several times quicker. `built` are the
     parameters that sensitivities were built for, of which `active` are carried: the ones at `columns` (see `select`).
     """
 
-    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> None:
+    def __init__(
+        self, dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True, sensitive: bool = True
+    ) -> None:
         self.dynamics = dynamics
         self.active = active
+        self.sensitive = sensitive
         self.nx, self.nd = len(dynamics.states), len(dynamics.error_states)
         self.ne, self.ny, self.nu = len(dynamics.innovations), len(dynamics.outputs), len(dynamics.inputs)
         self.past, self.future = dynamics.window
@@ -145,10 +149,18 @@ class Engine:
         y_hat = d.output(0, x, window, p, w0, dt)
         e = d.innovation(y, y_hat, x)
         into, out = chart_jacobians(d, x, after)
-        a = ca.sparsify(out @ ca.jacobian(after, x) @ into)
-        b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
-        ex = ca.sparsify(ca.jacobian(e, x) @ into)
-        ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
+        a: Expr
+        b: Expr
+        ex: Expr
+        ep: Expr
+        if self.sensitive:
+            a = ca.sparsify(out @ ca.jacobian(after, x) @ into)
+            b = ca.sparsify(out @ ca.jacobian(after, p)[:, chosen])
+            ex = ca.sparsify(ca.jacobian(e, x) @ into)
+            ep = ca.sparsify(ca.jacobian(e, p)[:, chosen])
+        else:
+            a, b = ca.SX(self.nd, self.nd), ca.SX(self.nd, len(chosen))
+            ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
         inputs = [x, window, y, p, dt]
         self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in ca.cse([after, e, y_hat])])
         self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
@@ -179,7 +191,7 @@ class Engine:
                 ("gb_slopes.c", lanes.PRELUDE + text["gb_slopes"], lanes.FLAGS),
                 ("gb_driver.c", driver, (*DRIVER_FLAGS, f"-DLANES={lanes.LANES}")),
             ],
-            rewrite={"gb_slopes.c": lanes.rewrite},
+            rewrite={"gb_slopes.c": lanes.rewrite} if self.sensitive else None,
         )
         library = ctypes.CDLL(str(path))
         library.gb_buffer.restype = ctypes.c_longlong
@@ -397,14 +409,16 @@ def _ptr(array: Any) -> Any:
     return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
 
 
-@functools.lru_cache(maxsize=32)
-def _cached(dynamics: Dynamics, active: tuple[str, ...], use_compiler: bool) -> Engine:
-    return Engine(dynamics, active, use_compiler=use_compiler)
+@functools.lru_cache(maxsize=64)
+def _cached(dynamics: Dynamics, active: tuple[str, ...], use_compiler: bool, sensitive: bool) -> Engine:
+    return Engine(dynamics, active, use_compiler=use_compiler, sensitive=sensitive)
 
 
-def engine_for(dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True) -> Engine:
+def engine_for(
+    dynamics: Dynamics, active: tuple[str, ...], *, use_compiler: bool = True, sensitive: bool = True
+) -> Engine:
     """The engine of a model and a set of active parameters, built once per process."""
     try:
-        return _cached(dynamics, tuple(active), use_compiler)  # type: ignore[arg-type]
+        return _cached(dynamics, tuple(active), use_compiler, sensitive)  # type: ignore[arg-type]
     except TypeError:  # a model that cannot be hashed
-        return Engine(dynamics, tuple(active), use_compiler=use_compiler)
+        return Engine(dynamics, tuple(active), use_compiler=use_compiler, sensitive=sensitive)

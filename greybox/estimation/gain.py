@@ -89,7 +89,7 @@ class Linearisation:
         return tuple(out)
 
 
-@functools.lru_cache(maxsize=32)
+@functools.lru_cache(maxsize=64)
 def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> Linearisation:
     return Linearisation(dynamics, active, fixed)
 

@@ -86,7 +86,7 @@ def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
         r = weighted @ filtered.innovations[k] + closed.T @ r
         info = weighted @ seen + closed.T @ info @ closed
         moved[k] = p @ r
-        variance[k] = np.diag(p) - np.einsum("ij,jk,ki->i", p, info, p, optimize=True)
+        variance[k] = np.diag(p) - ((p @ info) * p).sum(axis=1)  # p is symmetric
     x, d = ca.SX.sym("x", engine.nx), ca.SX.sym("d", nd)
     chart = ca.Function("moved", [x, d], [ca.densify(engine.dynamics.boxplus(x, d))])
     floor = 1e-6 * np.diag(p)

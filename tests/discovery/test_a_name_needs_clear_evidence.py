@@ -23,19 +23,30 @@ class Refits:
     bound: tuple[str, ...] = ()
     asked: list[tuple[str, ...]] = field(default_factory=list)
 
+    def task(self, effects: Any, start: Any = None, first: Any = None) -> Any:
+        return tuple(sorted(effects))
+
+    def refits(self, tasks: Any) -> Any:
+        self.asked.extend(tasks)
+        return [
+            SimpleNamespace(
+                effects=chosen, bic=self.bic.get(chosen, 1e9), at_bound=lambda name: name in self.bound,
+                converged=chosen not in self.failed, fit=SimpleNamespace(converged=chosen not in self.failed),
+            )
+            for chosen in tasks
+        ]  # fmt: skip
+
+    def settle(self, refit: Any) -> Any:
+        return refit
+
     def refit(self, effects: Any, start: Any = None, first: Any = None) -> Any:
-        chosen = tuple(sorted(effects))
-        self.asked.append(chosen)
-        return SimpleNamespace(
-            effects=chosen, bic=self.bic[chosen], at_bound=lambda name: name in self.bound,
-            fit=SimpleNamespace(converged=chosen not in self.failed),
-        )  # fmt: skip
+        return self.refits([self.task(effects)])[0]
 
 
 def score(name: str, p_family: float, judged: bool = True, statistic: float = 30.0) -> Score:
     return Score(
-        name=name, statistic=statistic, robust=10, dof=1, p=p_family / 10, p_family=p_family, estimate={f"{name}.k": 1.0},
-        std={f"{name}.k": 0.1}, left=1.0, judged=judged,
+        name=name, statistic=statistic, robust=10, dof=1, p=p_family / 10, p_family=p_family,
+        estimate={(f"{name}.k", None): 1.0}, std={(f"{name}.k", None): 0.1}, left=1.0, judged=judged,
     )  # fmt: skip
 
 

@@ -1,0 +1,207 @@
+"""Differences: how the innovations of a fit change with parameters that it does not have, through the predictor.
+
+The larger model, with every candidate at its null, is run once per parameter with that parameter a little off: one-sided,
+away from the bound at which many nulls lie. Nothing but the step itself is built, where exact sensitivities of the whole
+catalogue would have to be compiled to be evaluated once. A parameter that does nothing at first (a limit that no command
+reaches) is moved further, until it is felt: the test then looks in that direction.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.errors import FitError
+from greybox.estimation.engine import engine_for
+from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.problem import Block, Problem, Unknown
+from greybox.estimation.record import make_records
+from greybox.model.dynamics import Dynamics
+from greybox.model.parameter import Parameter
+from greybox.symbolic import FloatArray
+
+STEP = 1e-6
+"""Size of a difference in units of the parameter's scale: its error is about as large as that of exact sensitivities."""
+FURTHER = (0.5, 1.0, 2.0, 3.0)
+"""Sizes that are tried where nothing is felt of a small difference."""
+FELT = 0.005
+"""Share of the samples that a further step must reach."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Given:
+    """A predictor whose blocks are there already."""
+
+    given: Sequence[Block]
+    name: str = "given"
+    has_noise: bool = True
+
+    def prepare(self, problem: Problem) -> Mapping[str, object]:
+        """Nothing."""
+        return {}
+
+    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
+        """What was given."""
+        return self.given
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Column:
+    """Change per unit of one parameter: of the innovations (n, n_e) and their covariances (n_pat, n_e, n_e)."""
+
+    innovations: FloatArray
+    covariance: FloatArray
+
+
+def widened(
+    small: Problem,
+    theta: FloatArray,
+    large: Dynamics,
+    data: Dataset,
+    null: Mapping[str, float],
+    per_flight: Iterable[str] = (),
+) -> tuple[Problem, FloatArray]:
+    """(`small` with the parameters `null` of the model `large` as further unknowns, `theta` with these at their nulls).
+
+    `small` is a fit in innovation form whose model is `large` with `null` held. The result can be evaluated at that point
+    only. Raises `FitError` where a prediction is not finite.
+    """
+    declared = {d.name: d for d in large.parameters}
+    own = set(per_flight)
+    runner = _Runner(small, theta, large, data, null)
+    added: list[Unknown] = []
+    columns: list[list[_Column | None]] = []
+    flights = small.flights
+    tasks: list[Callable[[], list[_Column | None]]] = []
+    for name in (d.name for d in large.parameters if d.name in null):
+        d = declared[name]
+        separate = d.scope == "flight" or name in own
+        for flight in flights if separate else (None,):
+            added.append(_unknown(d, null[name], flight))
+            tasks.append(lambda d=d, flight=flight: runner.column(d, null[d.name], flight))  # type: ignore[misc]
+    with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        columns = [f.result() for f in [pool.submit(t) for t in tasks]]
+    blocks = []
+    for i, block in enumerate(Innovation().blocks(small, theta, True)):
+        assert block.jacobian is not None
+        assert block.covariance_slope is not None
+        there = [j for j, c in enumerate(columns) if c[i] is not None]
+        mine = [c[i] for c in columns if c[i] is not None]
+        blocks.append(
+            replace(
+                block,
+                jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for c in mine if c)], axis=2),
+                covariance_slope=np.concatenate(
+                    [block.covariance_slope, *(c.covariance[:, None] for c in mine if c)], axis=1
+                ),
+                columns=np.concatenate([block.columns, small.n + np.array(there, dtype=np.intp)]),
+            )
+        )
+    state = {k: v for k, v in small.state.items() if k != "index"}
+    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), state=state)
+    return wide, np.concatenate([theta, [u.start for u in added]])
+
+
+def _unknown(d: Parameter, null: float, flight: str | None) -> Unknown:
+    return Unknown(
+        name=d.name, kind="parameter", flight=flight, start=null, lower=d.lower, upper=d.upper, mean=d.nominal,
+        sigma=d.sigma if d.sigma > 0 else np.inf, scale=d.scale, unit=d.unit,
+    )  # fmt: skip
+
+
+class _Runner:
+    """The predictor of the larger model at the smaller one's estimates."""
+
+    def __init__(
+        self, small: Problem, theta: FloatArray, large: Dynamics, data: Dataset, null: Mapping[str, float]
+    ) -> None:
+        self.small, self.theta, self.large, self.null = small, theta, large, null
+        self.engine = engine_for(large, (), use_compiler=small.engine.compiled, sensitive=False)
+        self.records = make_records(self.engine, data)
+        past, future = large.window
+        u = np.array([small.means.get(n, 0.0) for n in large.inputs.names])
+        self.window = np.repeat(u[:, None], past + 1 + future, axis=1)
+        self.reference = large.reference(small.means)
+        elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
+        self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
+        self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
+        process, sensor = small.noise_levels(theta)
+        self.q, self.r = process**2, sensor**2
+        self.names = [d.name for d in large.parameters]
+        self.starts = [self._start(i) for i in range(len(self.records))]
+        self.common = self.riccati(self.parameters(None))
+        self.base = [self.run(i, self.parameters(r.flight), self.common) for i, r in enumerate(self.records)]
+
+    def parameters(self, flight: str | None) -> FloatArray:
+        """Parameter vector of the larger model, candidates at their nulls."""
+        names = [d.name for d in self.small.dynamics.parameters]
+        own = dict(zip(names, self.small.parameters_of(self.theta, flight), strict=True))
+        return np.array([own[n] if n in own else self.null[n] for n in self.names])
+
+    def _start(self, i: int) -> FloatArray:
+        moved = dict(
+            zip(self.small.dynamics.error_states.names, self.theta[self.small.initial_columns(i)], strict=True)
+            if self.small.state["estimate_initial"]
+            else ()
+        )
+        d = np.array([moved.get(n, 0.0) for n in self.large.error_states.names])
+        return np.asarray(self.engine.move(self.records[i].x0, d).full()).ravel()
+
+    def riccati(self, p: FloatArray) -> Riccati:
+        """Stationary filter at the parameters p."""
+        values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
+        return stationary(values, self.q, self.r, self.weak)
+
+    def run(self, i: int, p: FloatArray, riccati: Riccati) -> _Column:
+        """Innovations of record i and their covariances."""
+        record = self.records[i]
+        gains, s, _ = Innovation().tables(riccati, record.patterns, 0)
+        run = self.engine.run(
+            x0=self.starts[i], inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+            gains=gains, p=p, dt=record.dt,
+        )  # fmt: skip
+        if run.failed_at is not None or run.innovations is None:
+            raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
+        return _Column(innovations=run.innovations, covariance=s)
+
+    def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:
+        """Change of every record with one parameter (of one flight): None where the record is of another flight."""
+        sign = 1.0 if null + STEP * d.scale <= d.upper else -1.0
+        found: list[_Column | None] = []
+        for size in (STEP, *FURTHER):
+            h = sign * min(size * d.scale, (d.upper - null) if sign > 0 else (null - d.lower))
+            found = self._moved(d.name, null + h, h, flight)
+            there = [c for c in found if c is not None]
+            felt = sum(int(c.innovations.any(axis=1).sum()) for c in there)
+            if felt > (0 if size == STEP else FELT * sum(len(c.innovations) for c in there)):
+                break
+        return found
+
+    def _moved(self, name: str, value: float, h: float, flight: str | None) -> list[_Column | None]:
+        at = self.names.index(name)
+        riccati = self.common
+        if flight is None:
+            p = self.parameters(None)
+            p[at] = value
+            riccati = self.riccati(p)
+        out: list[_Column | None] = []
+        for i, record in enumerate(self.records):
+            if flight not in (None, record.flight):
+                out.append(None)
+                continue
+            p = self.parameters(record.flight)
+            p[at] = value
+            new, old = self.run(i, p, riccati), self.base[i]
+            out.append(
+                _Column(
+                    innovations=(new.innovations - old.innovations) / h,
+                    covariance=(new.covariance - old.covariance) / h,
+                )
+            )
+        return out

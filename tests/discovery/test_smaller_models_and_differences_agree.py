@@ -1,0 +1,59 @@
+"""A fit on the model of its own effects is the fit on the whole catalogue, and differences are exact sensitivities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.discovery.candidates import candidates
+from greybox.discovery.differences import widened
+from greybox.discovery.nested import Nest
+from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.fit import noise_of
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.problem import Problem, make_problem
+from greybox.symbolic import FloatArray
+from tests.discovery import small_world
+
+
+@pytest.fixture(scope="module")
+def nest() -> Nest:
+    with pytest.MonkeyPatch.context() as patch:
+        small_world.shorten(patch)
+        data = small_world.flown(small_world.DAMPING)
+        offered = candidates(small_world.vehicle(), data.channels, sample_time=0.01)
+    return Nest(candidates=offered, data=data)
+
+
+@pytest.fixture(scope="module")
+def both(nest: Nest) -> tuple[Problem, FloatArray, Problem, FloatArray]:
+    """(widened problem and point, problem of the whole model with exact sensitivities and the same point)."""
+    at = nest.refit(("gyro_bias",))
+    null = {n: v for n, v in nest.candidates.null.items() if not n.startswith("gyro_bias")}
+    wide, theta = widened(at.fit.problem, at.fit.theta, nest.candidates.model, nest.data, null)
+    free = [u.name for u in wide.unknowns if u.kind == "parameter"]
+    whole = make_problem(
+        nest.candidates.model, nest.data, predictor=Innovation(), criterion=Gaussian(), free=free,
+        values=nest.candidates.null, noise=noise_of(at.fit.model),
+    )  # fmt: skip
+    known = {(u.name, u.flight): t for u, t in zip(wide.unknowns, theta, strict=True)}
+    return wide, theta, whole, np.array([known[u.name, u.flight] for u in whole.unknowns])
+
+
+def test_likelihoods_compare_to_the_last_digit(both: tuple[Problem, FloatArray, Problem, FloatArray]):
+    wide, theta, whole, same = both
+    assert wide.evaluate(theta).likelihood == pytest.approx(whole.evaluate(same, 0).likelihood, abs=1e-6)
+
+
+def test_differences_are_the_exact_sensitivities(both: tuple[Problem, FloatArray, Problem, FloatArray]):
+    wide, theta, whole, same = both
+    places = {(u.name, u.flight): i for i, u in enumerate(whole.unknowns)}
+    order = [places[u.name, u.flight] for u in wide.unknowns]
+    a, b = wide.evaluate(theta, scores=50), whole.evaluate(same, scores=50)
+    assert a.gradient is not None and b.gradient is not None
+    assert a.hessian is not None and b.hessian is not None
+    assert a.scores is not None and b.scores is not None
+    spread = np.sqrt(np.diag(b.hessian))[order]
+    assert np.abs(a.gradient - b.gradient[order]).max() < 1e-3 * np.abs(b.gradient).max()
+    assert np.abs((a.hessian - b.hessian[np.ix_(order, order)]) / np.outer(spread, spread)).max() < 1e-4
+    assert np.abs((a.scores - b.scores[:, order]) / spread).max() < 1e-4 * np.abs(b.scores[:, order] / spread).max()
