@@ -17,7 +17,7 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
-from greybox.discovery.veto import Withheld, misfit, wrench_of
+from greybox.discovery.veto import Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
@@ -56,12 +56,7 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
     stages = {e.name: e.stage for e in at.fit.model.physics.effects}
     if all(stages.get(n) == "sensor" for n in addition.effects):
         kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
-        for axis in leftover.unnamed:
-            if axis.channel.split(".")[0] in kinds and axis.gain > addition.delta_bic:
-                return Withheld(
-                    effects=addition.effects, reason=f"{axis.channel} misses more after it than the effect explained"
-                )
-        return None
+        return misfit_of(addition.effects, kinds, {}, leftover.unnamed, addition.delta_bic)
     wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)
     levels = dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
     return misfit(addition.effects, wrench, levels, leftover.unnamed, addition.delta_bic)

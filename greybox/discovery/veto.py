@@ -6,13 +6,14 @@ checks stand against that.
 1. Held-out flights. With the effect the one-step errors of flights that were not searched must be more likely, and, unless
    it is an effect of a sensor, open-loop errors up to a second ahead must not grow: the relative change of the mean square,
    averaged over channel groups and horizons, with the spread between blocks of one second.
-2. The law that is left. Where an axis that the effect acts on still follows a law, or is deficient beyond what the effect
-   itself explained, the effect's form is wrong there: the name is taken back and the axis is reported as unnamed.
+2. What is left. Where the force or torque that the effect acts on still follows a law that is larger than the effect, or
+   misses far more than the effect explained, the effect only bends towards something else: the name is taken back and
+   the axis is reported as unnamed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,11 @@ WORSE = -1.0
 NOTHING = 1e-3
 """Relative change of the mean square ahead below which an effect adds nothing, unless that is clear."""
 LEFT = 0.5
-"""Share of the effect's own variance on its main axis that a law of the leftover may have at most."""
+"""Share of the effect's own variance on an axis that a law of the leftover may have at most."""
+MUCH = 5.0
+"""How much more than the effect explained an axis may miss after it, in BIC, where what it misses follows no law."""
+TOUCHED = 0.3
+"""An effect acts on force or torque where its size against the noise is this share of the largest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,25 +162,30 @@ def misfit(
 ) -> Withheld | None:
     """Why `effects`, which bring the `wrench` (N, 6) and improved BIC by `gained`, do not fit what is `left` (unnamed axes).
 
-    Judged on the axis where the wrench is largest against the white noise `levels` of the model.
+    Judged on the axes of the force or torque where the wrench matters against the white noise `levels` of the model.
     """
     axes = [f"force.{a}" for a in "xyz"] + [f"torque.{a}" for a in "xyz"]
-    size = np.sqrt((wrench**2).mean(axis=0))
-    ratio = [s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in zip(axes, size, strict=True)]
-    if not max(ratio) > 0:
-        return None
-    main = int(np.argmax(ratio))
+    size = dict(zip(axes, np.sqrt((wrench**2).mean(axis=0)).tolist(), strict=True))
+    ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in size.items()}
+    kinds = {a.split(".")[0] for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
+    return misfit_of(effects, kinds, size, left, gained)
+
+
+def misfit_of(
+    effects: Sequence[str], kinds: Collection[str], size: Mapping[str, float], left: Sequence[Leftover], gained: float
+) -> Withheld | None:
+    """The same for effects that act on `kinds` ("force", "torque") with an RMS `size` per axis."""
     for law in left:
-        if law.channel != axes[main]:
+        if law.channel.split(".")[0] not in kinds:
             continue
-        rest = law.share * law.rms**2 if law.lawful else 0.0
-        if rest > LEFT * size[main] ** 2:
-            return Withheld(
-                effects=tuple(effects),
-                reason=f"{law.channel} still follows another law after it, as large as the effect",
-            )
-        if law.gain > gained:
-            return Withheld(
-                effects=tuple(effects), reason=f"{law.channel} misses more after it than the effect explained"
-            )
+        if (
+            law.lawful
+            and law.share * law.rms**2 > LEFT * size.get(law.channel, 0.0) ** 2
+            and law.share * law.gain > gained
+        ):
+            reason = f"{law.channel} follows another law after it, which is larger than the effect"
+            return Withheld(effects=tuple(effects), reason=reason)
+        if law.gain > MUCH * gained:
+            reason = f"{law.channel} misses far more after it than the effect explained"
+            return Withheld(effects=tuple(effects), reason=reason)
     return None

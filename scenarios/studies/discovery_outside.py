@@ -23,11 +23,16 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.workflow import Discovery, discover
+from scenarios.excitation.injection import rich_excitation
+from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
-from scenarios.plants.presets import x250
-from scenarios.studies.discovery_grid import flights, vehicle_of
+from scenarios.plants.flight_log import fly, member
+from scenarios.plants.presets import controller_for, x250
+from scenarios.plants.quadrotor import Quadrotor
+from scenarios.studies.discovery_grid import vehicle_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +72,17 @@ CASES = {
 }  # fmt: skip
 
 
+def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -> Dataset:
+    """One flight per seed through random waypoints that also turn, without rotor speeds."""
+    path = RandomWaypoints(yaw_swing=1.5)
+    log = fly(plant, controller_for(plant), path, rich_excitation(), seconds, seed=list(seeds), warm_up=1.0)
+    out = Dataset(flights=())
+    for i in range(len(seeds)):
+        one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
+        out = out + dataset_from_arrays(one.pop("t"), one, name=f"{name}{i}")
+    return out
+
+
 def judge(found: Discovery, case: Case) -> dict[str, Any]:
     """Names, flags and shares as plain values."""
     content = found.to_dict()
@@ -75,7 +91,8 @@ def judge(found: Discovery, case: Case) -> dict[str, Any]:
     half = [r for r in content["gap"] if r["horizon_s"] == 0.5]
     shares = [r.get("with_proposals") or r["closed"] for r in half if r["closed"] is not None]
     return {
-        "verdict": found.verdict, "names": names, "wrong": [n for n in names if n not in case.family],
+        "verdict": found.verdict, "names": names,
+        "steps": [[s["added"], s["delta_bic"]] for s in content["steps"]], "wrong": [n for n in names if n not in case.family],
         "ambiguous": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
         "withheld": content.get("withheld", []), "flagged": flagged, "right_axis": any(a in case.axes for a in flagged),
         "deficiency": content["deficiency"], "unnamed": content["unnamed"], "gap": half,
