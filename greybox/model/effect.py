@@ -23,15 +23,17 @@ SLOTS: Mapping[str, frozenset[str]] = {
     "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
     "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
     "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
-    "sensor": frozenset({"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed", "imu_delay"}),
+    "sensor": frozenset(
+        {"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed", "imu_delay", "pose_delay"}
+    ),
 }
 """What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
 at most one lag (tau_up, tau_down) [s]; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
 multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs,
 winds [m/s] in world axes add; sensor: the value replaces the measured one, in the order of `Effect.order`, delays of gyro
-and accelerometer (imu_delay) [s] add."""
+and accelerometer (imu_delay) and of the pose (pose_delay) [s] add."""
 
-EARLY = frozenset({"delay", "lag", "wind", "imu_delay"})
+EARLY = frozenset({"delay", "lag", "wind", "imu_delay", "pose_delay"})
 """Slots that the model must know before it comes to their stage: states, window and airspeeds depend on them."""
 
 

@@ -41,6 +41,8 @@ BLOCKS: Mapping[str, tuple[str, str, int, int]] = {
     "rate": ("xyz", "rad/s", 3, 3),
 }
 """State blocks of the rigid body: letters, unit, raw size, error size. Rotor states follow where there is a lag."""
+POSE_REACH = 0.05
+"""How far back commands are looked up for a late pose [s]; before that the oldest of them stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,11 +262,13 @@ class PhysicsModel:
     def window(self) -> tuple[int, int]:
         """Earlier commands for the longest delay, one later command for a linear hold."""
         past = 0
-        if self._has("delay") or self._has("imu_delay"):
+        if self._has("delay") or self._has("imu_delay") or self._has("pose_delay"):
             upper = {f"{e.name}.{d.name}": d.upper for e in self.effects for d in e.parameters(self.vehicle)}
             longest = float(self._early("delay", upper))
             if self._has("imu_delay"):
                 longest += max(float(self._early("imu_delay", upper)), self.sample_time)
+            elif self._has("pose_delay"):
+                longest += min(float(self._early("pose_delay", upper)), POSE_REACH)
             if not math.isfinite(longest):
                 raise ModelError("a delay without an upper bound", fix="declare the parameter with a finite upper")
             past = math.ceil(longest / self.sample_time + 1e-9)
@@ -332,6 +336,25 @@ class PhysicsModel:
             return ca.vertcat(share * older + (1 - share) * newer, window[self._n :, past])
         u_a, u_b, switch = self._held_command(window, delay, dt)
         return u_a + (u_b - u_a) * (1 - switch / dt)
+
+    def _mean_command(self, window: Expr, delay: Expr, back: Expr, dt: Expr) -> Expr:
+        """Mean of the delayed command over the last `back` seconds before t_k (the coming one where `back` is negative)."""
+        past, future = self.window
+        if future:
+            return self._sampled_command(window, delay + ca.fmax(0.5 * back, 0.0), dt)
+        if past == 0:
+            return window
+        # Ages in samples; at no delay at all the command of the step that just ended.
+        young = delay / dt
+        old = young + ca.fmax(back / dt, 1e-6)
+        total: Expr = 0.0
+        command: Expr = 0.0
+        for m in range(past):
+            weight = (ca.fmin(old, m + 1) if m < past - 1 else old) - ca.fmax(young, m)
+            weight = ca.fmax(weight, 0.0)
+            total, command = total + weight, command + weight * window[: self._n, past - m - 1]
+        coming = self._sampled_command(window, delay, dt)
+        return ca.if_else(back < 0, coming, ca.vertcat(command / total, window[self._n :, past]))
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
         """nu_ss: command chain, then the product of the rotor stage's factors."""
@@ -471,10 +494,11 @@ class PhysicsModel:
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        return self._outputs(x, u, (u, u), p, self._noise(w) if w is not None else ca.DM.zeros(9))
+        return self._outputs(x, u, (u, u), u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
-    def _outputs(self, x: Expr, u: Expr, u_imu: tuple[Expr, Expr], p: Expr, w: Expr) -> Expr:
-        """Outputs at the command u; `u_imu` are the commands for a late gyro and accelerometer (see `_earlier`)."""
+    def _outputs(self, x: Expr, u: Expr, u_imu: tuple[Expr, Expr], u_pose: Expr, p: Expr, w: Expr) -> Expr:
+        """Outputs at the command u; `u_imu` are the commands for a late gyro and accelerometer (see `_earlier`), `u_pose` is
+        the mean command for a late pose (see `_late_pose`)."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
@@ -484,6 +508,9 @@ class PhysicsModel:
         if self._has("imu_delay"):
             late = self._measure(*self._earlier(blocks, nu, u_imu, p, w), p)
             readings |= {k: late[k] for k in ("gyro", "accelerometer") if k in readings}
+        if self._has("pose_delay"):
+            late = self._measure(*self._late_pose(blocks, nu, u_pose, p), p)
+            readings |= {k: late[k] for k in ("attitude", "position", "velocity") if k in readings}
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
     def _earlier(
@@ -506,6 +533,26 @@ class PhysicsModel:
         before = {b: blocks[b] - back * d[b] for b in blocks}
         before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * blocks["rate"]))
         sf, _, flow = self._rigid_body(before, then, nu_rate, u[0], p, w)
+        return flow, sf
+
+    def _late_pose(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr) -> tuple[Flow, Expr]:
+        """(flow, specific force) as a late pose shows them: back from the present by the midpoint rule, with the mean
+        command u since then. The noise of the coming step has not acted yet."""
+        values, quiet = self._values(p), ca.DM.zeros(9)
+        back = self._early("pose_delay", values)
+        steady = self._steady_speed(u, values)
+        if self._has_lag:
+            nu_rate = (steady - nu) / ca.fmax(_positive(self._lag(values)), ca.fabs(back))
+            now, middle = nu, nu - 0.5 * back * nu_rate
+        else:
+            now, middle, nu_rate = steady, steady, steady * 0
+        d = self._derivative(blocks, now, nu_rate, u, p, quiet)
+        half = {b: blocks[b] - 0.5 * back * d[b] for b in blocks}
+        half["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-0.5 * back * blocks["rate"]))
+        d = self._derivative(half, middle, nu_rate, u, p, quiet)
+        before = {b: blocks[b] - back * d[b] for b in blocks}
+        before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * half["rate"]))
+        sf, _, flow = self._rigid_body(before, middle, nu_rate, u, p, quiet)
         return flow, sf
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
@@ -545,7 +592,10 @@ class PhysicsModel:
             # A sample's worth of the record, in the middle of the delay but not from the step that only begins.
             middle = ca.fmax(dt, 0.5 * (back + dt))
             u_imu = tuple(self._sampled_command(window, delay + b, dt) for b in (back, middle))
-        return self._outputs(x, u, u_imu, p, self._noise(w))
+        u_pose = (
+            self._mean_command(window, delay, self._early("pose_delay", values), dt) if self._has("pose_delay") else u
+        )
+        return self._outputs(x, u, u_imu, u_pose, p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""
