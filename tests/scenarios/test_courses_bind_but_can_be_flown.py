@@ -1,4 +1,4 @@
-"""A course is a fair judge: its reference keeps every limit, comes near each, and asks for what the vehicle can do."""
+"""A course is a fair judge: its limits bind, and its path asks for what the vehicle can do."""
 
 import numpy as np
 import pytest
@@ -11,16 +11,17 @@ TIME = np.arange(0.0, OBSTACLE_COURSE.duration, 0.01)
 REFERENCE = OBSTACLE_COURSE.sample(TIME)
 
 
-@pytest.mark.parametrize("plane", OBSTACLE_COURSE.planes, ids=lambda plane: plane.name)
-def test_the_reference_passes_every_plane_closely_on_the_right_side(plane):
-    nearest = plane.margin(REFERENCE.position).min()
-    assert 0.03 < nearest < 0.07
+def test_the_reference_asks_for_a_little_more_than_three_planes_allow_and_keeps_the_fourth():
+    nearest = {name: margin.min() for name, margin in OBSTACLE_COURSE.margins(REFERENCE.position).items()}
+    beside = nearest.pop("gap, near side")
+    assert 0.1 < beside < 0.2
+    assert all(-0.03 < margin < -0.01 for margin in nearest.values())
 
 
 def test_planes_end_where_they_are_said_to_end():
     gap = next(p for p in OBSTACLE_COURSE.planes if p.name == "gap, far side")
     inside, before = np.array([3.2, 1.0, 1.0]), np.array([3.2, 0.7, 1.0])
-    assert gap.margin(inside) == pytest.approx(-0.14)
+    assert gap.margin(inside) == pytest.approx(-0.22)
     assert gap.margin(before) == np.inf
     assert gap.exists(before, reach=0.15)
 
