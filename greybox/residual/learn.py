@@ -77,7 +77,7 @@ class Learned:
             },
             "calibration": {
                 "factors": dict(self.calibration.factors), "learned": self.calibration.learned,
-                "gain": self.calibration.gain,
+                "gain": self.calibration.gain, "new_flight": self.calibration.new_flight,
             },
             "training": [dict(t) for t in self.training],
             "trained_on": list(self.model.trained_on),
@@ -101,7 +101,10 @@ class Learned:
             )
         lines += [f"  candidate {n}: {g:+.2%} on left-out flights" for n, g in self.candidates.items()]
         factors = ", ".join(f"{n} x {f:.2f}" for n, f in self.calibration.factors.items())
-        lines.append(f"uncertainty ahead, process noise: {factors}; learned part x {self.calibration.learned:.2f}")
+        lines.append(
+            f"uncertainty ahead, process noise: {factors}; learned part x {self.calibration.learned:.2f}; of this for "
+            f"flights not seen: x {self.calibration.new_flight:.2f}"
+        )
         return "\n".join(lines)
 
 

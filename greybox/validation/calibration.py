@@ -7,7 +7,9 @@ half a second. The covariance h samples ahead is affine in the squared levels,
     Sigma_h = Sigma_h(filter error, parameters) + sum_g kappa_g^2 Sigma_h(noise of group g) + kappa_l^2 Sigma_h(learned)
 
 so that the factors kappa_g of the groups (force, torque, ...) and, at most one, that of the learned part follow from the
-multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels.
+multi-step errors of the training flights by maximum likelihood at little cost. The filter keeps its own levels. Flights
+differ: one more factor, on all of these, makes the 95 % regions hold on a flight that was not seen
+(`greybox.validation.new_flight`).
 
 (Kuleshov, Fenner and Ermon 2018, ICML, recalibrate quantiles after the fact; here the stated physics of the error growth
 stays.)
@@ -21,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import scipy.optimize
+import scipy.stats
 
 from greybox.data import Dataset
 from greybox.errors import DataError, FitError
@@ -28,21 +31,28 @@ from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from greybox.validation.new_flight import GRID, new_flight_factor
 from greybox.validation.predictive import gaussian_nlpd
 
 HORIZONS = (5, 10, 20, 35, 50)
 LIMITS = (0.1, 10.0)
+LEVEL = 0.95
+"""The region that has to hold on a new flight."""
+FEW, STRETCHES = 4, 4
+"""With fewer flights than this, stretches of a flight (this many) stand for flights."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """The model with `horizon_noise`, the factor of every noise group, the mean density gained [nat per error], and the
-    factor on the standard deviation of the learned part, which is left to the caller (1 without one)."""
+    """The model with `horizon_noise`, the factor of every noise group, the mean density gained by maximum likelihood [nat
+    per error], and the factor on the standard deviation of the learned part, which is left to the caller (1 without one).
+    All factors hold `new_flight`, what a flight that was not seen asks for."""
 
     model: IdentifiedModel
     factors: Mapping[str, float]
     gain: float
     learned: float = 1.0
+    new_flight: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,13 +74,19 @@ def calibrate_horizons(
     no flight is long enough.
     """
     work = _Parts(Filter(model), model.process_noise, split_learned=True)
-    found: list[_Errors] = []
+    flights: list[list[_Errors]] = []
+    pieces = 1 if len(data) >= FEW else STRETCHES
     for flight in data:
+        own: list[list[_Errors]] = [[] for _ in range(pieces)]
         for segment in flight.segments:
             step = max(1, round(spacing / segment.dt))
             origins = np.arange(step, segment.n - max(horizons) - 1, step)
-            if origins.size:
-                found += work.errors(work.runner.run(segment), origins, horizons)
+            filtered = work.runner.run(segment)
+            for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
+                if part.size:
+                    stretch += work.errors(filtered, part, horizons)
+        flights += [stretch for stretch in own if stretch]
+    found = [f for flight in flights for f in flight]
     if not found:
         raise DataError(
             "no flight is long enough to calibrate multi-step uncertainty", expected=f"{max(horizons)} samples"
@@ -81,10 +97,14 @@ def calibrate_horizons(
 
     limits = [LIMITS] * len(work.groups) + [(LIMITS[0], 1.0)] * work.split_learned
     factors, best = _solve(cost, limits)
+    gain = cost(np.zeros(factors.size)) - best
+    squares = np.exp(2 * GRID)[:, None] * factors**2
+    wider = new_flight_factor(np.array([np.mean([_inside(f, squares) for f in own], axis=0) for own in flights]), LEVEL)
+    factors = wider * factors
     return Calibration(
         model=replace(model, horizon_noise=model.process_noise * factors[work.members]),
-        factors=dict(zip(work.groups, factors.tolist(), strict=False)), gain=cost(np.zeros(factors.size)) - best,
-        learned=float(factors[-1]) if work.split_learned else 1.0,
+        factors=dict(zip(work.groups, factors.tolist(), strict=False)), gain=gain,
+        learned=float(factors[-1]) if work.split_learned else 1.0, new_flight=wider,
     )  # fmt: skip
 
 
@@ -165,3 +185,14 @@ def _errors(runner: Filter, filtered: Filtered, states: FloatArray, rows: npt.ND
 def _density(errors: _Errors, squares: FloatArray) -> float:
     covariance = errors.base + np.einsum("g,gnij->nij", squares, errors.parts)
     return float(gaussian_nlpd(errors.e, covariance).mean())
+
+
+def _inside(errors: _Errors, squares: FloatArray) -> FloatArray:
+    """Share (n,) of the errors inside the region of probability `LEVEL` for each row of squared factors (n, G)."""
+    edge = scipy.stats.chi2.ppf(LEVEL, errors.e.shape[1])
+    shares = []
+    for row in squares:
+        covariance = errors.base + np.einsum("g,gnij->nij", row, errors.parts)
+        distance = np.einsum("ni,ni->n", errors.e, np.linalg.solve(covariance, errors.e[..., None])[..., 0])
+        shares.append(float(np.mean(distance <= edge)))
+    return np.array(shares)
