@@ -32,6 +32,7 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Status
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel
+from greybox.model.sensor_noise import SensorNoise
 from greybox.symbolic import FloatArray
 
 BLOCK_SECONDS = 0.5
@@ -130,8 +131,10 @@ def _vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
     )
 
 
-def _canonical(model: PhysicsModel) -> PhysicsModel:
+def _canonical(model: Any) -> Any:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
+    if isinstance(model, SensorNoise):
+        return replace(model, inner=_canonical(model.inner))
     own = {type(e): e for e in CATALOGUE}
     return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))
 

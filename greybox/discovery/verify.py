@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
@@ -67,7 +68,8 @@ def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None
     effects = proposed(leftover.laws)
     if not effects:
         return None
-    model = found.model.physics.with_effect(*effects)
+    model: Any = found.model.dynamics
+    model = model.with_effect(*effects)
     own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
     per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
     result = fit(

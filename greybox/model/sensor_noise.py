@@ -139,14 +139,13 @@ class SensorNoise:
                 )  # fmt: skip
         return (*self.inner.parameters, *own)
 
-    def without(self, *names: str) -> Any:
-        """The model without the parts of these names; the inner model where none is left."""
-        kept = tuple(p for p in self.parts if p.name not in names)
-        return SensorNoise(inner=self.inner, parts=kept) if kept else self.inner
-
     def without_effect(self, *names: str) -> SensorNoise:
         """The same noise on the model without these effects."""
         return SensorNoise(inner=self.inner.without_effect(*names), parts=self.parts)
+
+    def with_effect(self, *effects: Any) -> SensorNoise:
+        """The same noise on the model with further effects."""
+        return SensorNoise(inner=self.inner.with_effect(*effects), parts=self.parts)
 
     # ---------------------------------------------------------------- dynamics
 

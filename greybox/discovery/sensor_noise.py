@@ -1,0 +1,255 @@
+"""Sensor noise: which sensors are not white, and how; compared like effects, before anything that is left is called physics.
+
+Every kind of `greybox.model.sensor_noise` is a model of its own, fitted through the predictor. Two questions are asked:
+
+1. Does the IMU filter what it measures? A low-pass looks like a motor lag or a delay to everything but the pose, which it
+   does not touch. It competes with the effects of timing before one of them is named (`filtered_imu`).
+2. Are the sensors' errors correlated? Noise of a sensor stays in its channel; a force or torque reaches every channel that
+   the motion couples. Noise states of all sensors and Gauss-Markov force and torque are fitted together, so that neither
+   takes the other's place; a part stays where BIC is worse by more than 10 without it (`coloured_sensors`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.discovery.candidates import Candidates
+from greybox.discovery.nested import Nest, NestedFit
+from greybox.estimation.fit import Fit, fit, noise_of
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.identified import IdentifiedModel
+from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.validation.whiteness import whiteness
+
+CLEAR = 10.0
+"""BIC difference above which a kind of noise stays."""
+TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
+"""Effects that a filter of the IMU looks like."""
+FILTER = 0.004
+"""Start value of the filter's time constant [s]."""
+START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
+"""Sensors whose noise may be coloured: start values of correlation times [s]."""
+PREDICTABLE = 0.005
+"""Share of an innovation's variance that its own past must explain for its sensor to be suspected."""
+WHITE = 1e-4
+"""Level of the test of whiteness, per channel."""
+LAGS = 20
+SILENT = 7.0
+"""Logarithm by which a level falls where a part is tried without."""
+TOLERANCE = 1e-3
+"""Where the fit of noise levels stops: they are compared, not reported, to a hundredth of a standard error."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Suspected:
+    """Chosen noise `parts` (start values = estimates) with `gains` part name -> BIC without - BIC with, and the levels
+    `noise` that they were found with."""
+
+    parts: tuple[NoisePart, ...]
+    gains: Mapping[str, float]
+    noise: Mapping[str, float]
+
+
+def parts_of(dynamics: Any) -> tuple[NoisePart, ...]:
+    """The noise parts of a model, none where its sensors are white."""
+    return dynamics.parts if isinstance(dynamics, SensorNoise) else ()
+
+
+def with_parts(nest: Nest, parts: Iterable[NoisePart], noise: Mapping[str, float] | None = None) -> Nest:
+    """The same candidates on a model with these parts. Time constants of filters are free in every fit, those of noise stay
+    at the start values of its part."""
+    chosen = tuple(parts)
+    offered: Candidates = nest.candidates
+    filters = tuple(f"{p.name}.T" for p in chosen if p.kind == "low_pass")
+    core = (*(n for n in offered.core if not n.startswith("low_pass.")), *filters)
+    model: Any = SensorNoise(inner=white(offered.model), parts=chosen)
+    return replace(nest, candidates=replace(offered, model=model, core=core), noise=noise or nest.noise)
+
+
+def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, NestedFit, dict[str, float]] | None:
+    """(nest, fit, BIC gain of the whole filter by part name) with a low-pass of the IMU, where BIC prefers it to `rival`.
+
+    `at` is the fit without either. None where the IMU is filtered already, or is not there, or the filter does not win.
+    """
+    physics: Any = white(nest.candidates.model)
+    sensors = {s.name for s in physics.sensors}
+    had = parts_of(nest.candidates.model)
+    parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
+    if not parts or any(p.kind == "low_pass" for p in had):
+        return None
+    filtered = with_parts(nest, (*had, *parts))
+    now = filtered.refit(at.effects, start=at)
+    if not now.bic < min(rival.bic, at.bic - CLEAR):
+        return None
+    return filtered, now, {p.name: at.bic - now.bic for p in parts}
+
+
+def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
+    """The noise that the sensors of `lean` (the model of what was named so far) clearly need; None where they are white.
+
+    Physics is held at its estimates. Gains are those of a part at its level against white noise of the same variance,
+    the other levels held: an upper bound. Parts that it does not settle are fitted without.
+    """
+    had = parts_of(lean.model.dynamics)
+    if not suspicious(lean):
+        return None
+    physics: Any = white(lean.model.dynamics)
+    sensors = [s.name for s in physics.sensors if s.name in START]
+    parts = tuple(NoisePart(sensor=s, kind="coloured", time=START[s]) for s in sensors)
+    if "gyro" in sensors:
+        parts = (*parts, NoisePart(sensor="gyro", kind="drift"))
+    best = _coloured(had, parts, data, lean, lean)
+    gains = {p.name: _gain(best, p) for p in parts}
+    while parts and min(gains.values()) <= CLEAR:
+        # The bound says that they are not needed; the weakest goes first, as another may do its work.
+        weakest = min(gains, key=lambda n: gains[n])
+        parts = tuple(p for p in parts if p.name != weakest)
+        if not parts:
+            return None
+        best = _coloured(had, parts, data, lean, best)
+        gains = {p.name: _gain(best, p) for p in parts}
+    found = tuple(replace(p, time=_time(best, p)) for p in parts)
+    levels = {n: v for n, v in noise_of(best.model).items() if not n.startswith("noise.process.disturbance.")}
+    return Suspected(parts=(*had, *found), gains=gains, noise=levels)
+
+
+def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
+    """The physics of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
+    if not parts_of(found.model.dynamics):
+        return found.model
+    physics: Any = white(found.model.dynamics)
+    there = {d.name for d in physics.parameters}
+    per_flight = [n for n in found.settings["per_flight"] if n in there]
+    own = [n for n in found.model.flight_spread if n in there]
+    result = fit(
+        physics, data, free=own, per_flight=per_flight, values=_known(found, physics), initialisation="noise",
+        solver=LevenbergMarquardt(tolerance=TOLERANCE),
+    ).model  # fmt: skip
+    keep = [i for i, n in enumerate(found.model.covariance_names) if n in there]
+    return replace(
+        result, covariance_names=tuple(found.model.covariance_names[i] for i in keep),
+        covariance=found.model.covariance[np.ix_(keep, keep)], trained_on=found.model.trained_on,
+        data_hash=found.model.data_hash, source=found.model.source,
+    )  # fmt: skip
+
+
+def suspicious(fitted: Fit) -> tuple[str, ...]:
+    """Innovation components that are clearly not white."""
+    names = fitted.model.dynamics.innovations.names
+    records = [e for es in fitted.innovations.values() for e in es if len(e) > 4 * LAGS]
+    live = [j for j in range(len(names)) if any(np.isfinite(e[:, j]).any() for e in records)]
+    if not records or not live:
+        return ()
+    test = whiteness([e[:, live] for e in records], names=[names[j] for j in live], max_lag=LAGS)
+    return tuple(c.name for c in test.channels if c.test.p_value < WHITE and c.predictable > PREDICTABLE)
+
+
+def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]]:
+    """One entry per channel and kind, as in discovery.json: {channel, kind, parameters, delta_bic}.
+
+    `parameters`: `sigma` of the white part; `sigma` (standard deviation of the noise) and `T` of a coloured one; `sigma`
+    (after one second) of a drift; `T` and `cutoff` [Hz] of a low-pass; `delay` [s] of sensor_delay and pose_delay, which
+    are named effects as well. `delta_bic` is that of the whole part (all channels of its sensor), None for white noise.
+    """
+    dynamics: Any = fitted.model.dynamics
+    noise = {n: v for n, (v, _, _) in fitted.noise.items()}
+    values, dt = fitted.model.values, fitted.model.sample_time
+    out: list[dict[str, Any]] = []
+    physics = white(dynamics)
+    for sensor in physics.sensors:  # type: ignore[attr-defined]
+        channels = [s.name for s in sensor.innovation_signals(physics.vehicle)]  # type: ignore[attr-defined]
+        for c in channels:
+            out.append(_entry(c, "white", {"sigma": noise.get(f"noise.sensor.{c}")}, None))
+        for part in parts_of(dynamics):
+            if part.sensor != sensor.name:
+                continue
+            for c in channels:
+                level = noise.get(f"noise.process.{part.name}.c.{c.split('.')[-1]}", 0.0)
+                numbers: dict[str, float | None]
+                if part.kind == "low_pass":
+                    time = float(values[f"{part.name}.T"])
+                    numbers = {"T": time, "cutoff": 1 / (2 * np.pi * time)}
+                elif part.kind == "drift":
+                    numbers = {"sigma": level / np.sqrt(dt)}
+                else:
+                    time = float(values[f"{part.name}.T"])
+                    numbers = {"sigma": level / np.sqrt(1 - np.exp(-2 * dt / time)), "T": time}
+                out.append(_entry(c, part.kind, numbers, gains.get(part.name)))
+    for effect, late in (
+        ("pose_delay", ("position", "velocity", "attitude")),
+        ("sensor_delay", ("gyro", "accelerometer")),
+    ):
+        if effect not in {e.name for e in physics.effects}:  # type: ignore[attr-defined]
+            continue
+        for sensor in physics.sensors:  # type: ignore[attr-defined]
+            if sensor.name in late:
+                for s in sensor.innovation_signals(physics.vehicle):  # type: ignore[attr-defined]
+                    numbers = {"delay": float(values[f"{effect}.d"])}
+                    out.append(_entry(s.name, "delay", numbers, gains.get(effect)))
+    return out
+
+
+def _entry(channel: str, kind: str, parameters: Mapping[str, float | None], gain: float | None) -> dict[str, Any]:
+    return {"channel": channel, "kind": kind, "parameters": dict(parameters), "delta_bic": gain}
+
+
+def _coloured(had: Sequence[NoisePart], parts: Sequence[NoisePart], data: Dataset, lean: Fit, start: Fit) -> Fit:
+    """Levels and time constants of `parts` and of Gauss-Markov force and torque, physics held at `lean`."""
+    inner: Any = white(lean.model.dynamics)
+    dynamics: Any = SensorNoise(inner=inner, parts=(*had, *parts)) if (*had, *parts) else inner
+    groups = tuple(g for g in ("force", "torque") if any(n.startswith(g + ".") for n in inner.noises.names))
+    free = [f"disturbance.{g}.T" for g in groups] + [f"{p.name}.T" for p in parts if p.kind != "drift"]
+    names = {f"noise.process.{n}" for n in dynamics.noises.names}
+    names |= {f"noise.process.disturbance.{n}" for n in dynamics.noises.names if n.split(".")[0] in groups}
+    known = {n: v for n, v in noise_of(start.model).items() if n.startswith("noise.sensor.") or n in names}
+    values = dict(lean.model.values) | {n: v for n, v in start.model.values.items() if n in free}
+    there = {d.name for d in dynamics.parameters} | {f"disturbance.{g}.T" for g in groups}
+    return fit(
+        dynamics, data, disturbance=groups, free=free, values={n: v for n, v in values.items() if n in there},
+        noise=known, initialisation="nominal", solver=LevenbergMarquardt(tolerance=TOLERANCE),
+    )  # fmt: skip
+
+
+def _known(start: Fit, dynamics: Any) -> dict[str, float]:
+    there = {d.name for d in dynamics.parameters}
+    return {n: float(v) for n, v in start.model.values.items() if n in there}
+
+
+def _components(fitted: Fit, part: NoisePart) -> list[str]:
+    """Innovation components of the part's sensor."""
+    physics: Any = fitted.model.physics
+    return [
+        s.name for sensor in physics.sensors if sensor.name == part.sensor
+        for s in sensor.innovation_signals(physics.vehicle)
+    ]  # fmt: skip
+
+
+def _time(fitted: Fit, part: NoisePart) -> float:
+    return part.time if part.kind == "drift" else float(fitted.model.values[f"{part.name}.T"])
+
+
+def _gain(fitted: Fit, part: NoisePart) -> float:
+    """How much BIC loses when the part's noise is white instead, or is not there at all, whichever is better."""
+    problem, theta = fitted.problem, fitted.theta
+    silent, whitened = theta.copy(), theta.copy()
+    decay = 0.0 if part.kind == "drift" else float(np.exp(-2 * problem.dt / _time(fitted, part)))
+    count = 0
+    for component in _components(fitted, part):
+        own = problem.place(f"noise.process.{part.name}.c.{component.split('.')[-1]}")
+        plain = problem.place(f"noise.sensor.{component}")
+        if own is None:
+            continue
+        count += 1
+        for trial in (silent, whitened):
+            trial[own] = max(problem.lower[own], theta[own] - SILENT)
+        if plain is not None:
+            variance = np.exp(2 * theta[own]) / (1 - decay)
+            whitened[plain] = 0.5 * np.log(np.exp(2 * theta[plain]) + variance)
+    free = count + (part.kind != "drift")
+    best = min(problem.evaluate(t, 0).likelihood for t in (silent, whitened))
+    return float(2 * (best + fitted.loglik) - free * np.log(max(fitted.n_samples, 1)))
