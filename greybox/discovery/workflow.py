@@ -7,7 +7,7 @@ white force and torque noise and no disturbance states: process noise that is co
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,12 +17,24 @@ import scipy.stats
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import candidates
-from greybox.discovery.gap import GapRow, gap, squares
+from greybox.discovery.gap import GapRow
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune
 from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.proposal import file_name, proposal_text
 from greybox.discovery.screen import Score
+from greybox.discovery.sensor_noise import (
+    TIMING,
+    coloured_sensors,
+    filtered_imu,
+    parts_of,
+    plain_model,
+    sensor_table,
+    with_parts,
+)
 from greybox.discovery.spectrum import Spectrum, spectrum
+from greybox.discovery.verify import gap_rows, verified, with_proposals
+from greybox.discovery.veto import HeldOut, Withheld
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
@@ -58,13 +70,16 @@ class Discovery:
     settings: Mapping[str, Any] = field(default_factory=dict)
     spectrum: Spectrum | None = None
     tested_on: tuple[str, ...] = ()
+    withheld: tuple[Withheld, ...] = ()
+    sensors: tuple[Mapping[str, Any], ...] = ()
+    plain: IdentifiedModel | None = None
 
     @property
     def model(self) -> IdentifiedModel:
-        """The improved model. Raises `GreyboxError` where bad data stopped the search."""
+        """The improved model, its sensors white. Raises `GreyboxError` where bad data stopped the search."""
         if self.fit is None:
             raise GreyboxError("no model: the data have blocking faults", fix="mend the log, then run again")
-        return self.fit.model
+        return self.fit.model if self.plain is None else self.plain
 
     @property
     def named(self) -> tuple[Addition, ...]:
@@ -104,10 +119,20 @@ class Discovery:
         return tuple(getattr(self.model.physics, "effects", ()))
 
     def unnamed(self) -> list[dict[str, Any]]:
-        """Axes with a law that no catalogue effect explains."""
-        if self.leftover is None or not self.leftover.deficient:
+        """Axes that miss something which no catalogue effect explains; where it has a law, with the file that holds it."""
+        if self.leftover is None:
             return []
-        return [a.to_dict() for a in self.leftover.axes if a.lawful]
+        numbers = {law.channel: n for n, law in enumerate(self.leftover.laws, 1)}
+        return [
+            a.to_dict() | {"file": file_name(numbers[a.channel]) if a.channel in numbers else None}
+            | ({} if a.lawful else {"depends_on": [], "proposal": None})
+            for a in self.leftover.unnamed
+        ]  # fmt: skip
+
+    def proposals(self) -> dict[str, str]:
+        """File name -> text of an effect file, one for every law of the leftover."""
+        laws = () if self.leftover is None else self.leftover.laws
+        return {file_name(n): proposal_text(law, n) for n, law in enumerate(laws, 1)}
 
     def locations(self) -> list[dict[str, Any]]:
         """Axes of force and torque: RMS of the smoothed discrepancy before and after, and what it follows before."""
@@ -152,6 +177,8 @@ class Discovery:
                 if a.rivals
             ],
             "unnamed": self.unnamed(),
+            "withheld": [w.to_dict() for w in self.withheld],
+            "sensors": [dict(s) for s in self.sensors],
             "locations": self.locations(),
             "deficiency": {
                 "before": None if self.before is None else self.before.gain,
@@ -193,8 +220,17 @@ class Discovery:
         for a in self.additions:
             if a.rivals:
                 lines.append("  one of " + ", ".join(f"{n} ({w:.0%})" for n, w in a.rivals.items()))
+        for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
+            lines.append(f"  sensors: {kind} in {', '.join(s['channel'] for s in self.sensors if s['kind'] == kind)}")
+        for w in self.withheld:
+            lines.append(f"  withheld: {' and '.join(w.effects)} ({w.reason})")
         for u in self.unnamed():
-            lines.append(f"  unnamed: {u['proposal']} ({u['share']:.0%} of what is left there)")
+            law = (
+                f"{u['proposal']} ({u['share']:.0%} of what is left there)"
+                if u["proposal"]
+                else f"{u['channel']}, no law found"
+            )
+            lines.append(f"  unnamed: {law}")
         for r in self.gap:
             if r.closed is not None and r.horizon_s in (0.1, 0.5):
                 lines.append(
@@ -219,6 +255,7 @@ def discover(
     per_flight: Iterable[str] = (),
     fixed: Iterable[str] = (),
     hold_sensor_noise: bool = False,
+    attainable: bool = False,
     seed: int = 0,
     faults: CheckReport | None = None,
     progress: Progress | None = None,
@@ -228,9 +265,10 @@ def discover(
 
     alpha: family-wise level of a name. `own`: effects besides the catalogue. `adapt` [s]: per-flight parameters of test
     flights are fitted on their first seconds. `per_flight` parameters get one value per flight, `fixed` ones stay at that
-    of the vehicle file, `hold_sensor_noise` keeps the sensors' levels there too. `faults`: what `check_logs` said about
-    the files (by default the data sets are checked, which no longer show faults of their clock). `save` gets what is
-    known after every step, so that an interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
+    of the vehicle file, `hold_sensor_noise` keeps the sensors' levels there too. `attainable`: also learn what the bare
+    model misses with a Gaussian process (extra `gp`), the line that names are held against. `faults`: what `check_logs`
+    said about the files (by default the data sets are checked, which no longer show faults of their clock). `save` gets
+    what is known after every step, so that an interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
@@ -254,7 +292,8 @@ def discover(
     nest = Nest(candidates=offered, data=train, choices=choices)
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
-        if save is not None:
+        # A model file has white sensors: what was saved without their noise models stands until the end.
+        if save is not None and not parts_of(now.fit.model.dynamics):
             save(
                 Discovery(
                     verdict=_verdict(found, None), additions=tuple(found), fit=now.fit, final=now,
@@ -265,49 +304,48 @@ def discover(
 
     say("fit without any addition", 0.05)
     null = nest.refit(())
-    at, additions, warnings = null, list[Addition](), list[str]()
+    warnings: list[str] = []
     if not null.fit.converged:
         warnings.append(f"the fit without any addition: {null.fit.status.advice}")
-    scores: list[Score] = []
-    interim(at, additions)
-    for step in range(max_effects + 1):
-        say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
-        scores = nest.screen(at, alpha=alpha, seed=seed)
-        if step == max_effects:
-            if any(s.judged and s.p_family <= alpha for s in scores):
-                warnings.append(f"stopped at {max_effects} additions: more would pass the tests")
-            break
-        found = next_addition(nest, at, scores, alpha)
-        if found is None:
-            break
-        say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
-        additions.append(found)
-        at = found.after
-        interim(at, additions)
-    at, additions, removed = prune(nest, at, additions)
-    warnings += removed
+    held_out = HeldOut(judged, adapt) if judged is not train else None
+    search = _Search(held_out=held_out, alpha=alpha, seed=seed, max_effects=max_effects, say=say, interim=interim)
+    interim(null, ())
+    done = search.run(nest, null)
+    say("noise of the sensors", 0.72)
+    noise = coloured_sensors(done.at.fit, train)
+    if noise is not None:
+        nest = with_parts(done.nest, noise.parts, noise.noise)
+        null = nest.refit(())
+        earlier = done.filters
+        done = search.run(nest, null)
+        done.filters.update(earlier)
+    nest, at, additions, scores = done.nest, done.at, done.additions, done.scores
+    withheld = done.withheld
+    warnings += done.warnings
     say("leftover", 0.75)
-    lean = nest.lean(at)
-    leftover = promote(lean, train, seed=seed)
-    before = promote(nest.lean(null), train, seed=seed) if additions else leftover
+    last = verified(nest, at, additions, train, seed=seed)
+    at, additions, leftover = last.at, last.additions, last.leftover
+    named = {n for a in additions for n in a.effects}
+    # What was withheld at one step and named at a later one is named.
+    withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not named & set(w.effects)]
+    before = promote(null.fit, train, seed=seed) if at is not null else leftover
     say("gap", 0.9)
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
-    rows: tuple[GapRow, ...] = ()
-    try:
-        rows = tuple(
-            gap(squares(null.fit.model, judged, adapt=adapt), squares(at.fit.model, judged, adapt=adapt), seed=seed)
-        )
-    except GreyboxError as error:
-        warnings.append(f"no gap table: {error}")
+    rows = gap_rows(
+        null.fit, at.fit, with_proposals(at.fit, leftover, train), train, judged, adapt=adapt, attainable=attainable,
+        seed=seed, say=lambda text: say(text, 0.95), notes=warnings,
+    )  # fmt: skip
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not s.judged}
     return Discovery(
-        verdict=_verdict(additions, leftover), additions=tuple(additions), fit=lean, final=at, leftover=leftover,
+        verdict=_verdict(additions, leftover), additions=tuple(additions), fit=at.fit, final=at, leftover=leftover,
         before=before, gap=rows,
         gap_on="test" if judged is not train else "train", unjudged=skipped, last_scores=tuple(scores),
         minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
+        withheld=tuple(withheld), plain=plain_model(at.fit, train),
+        sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 
 
@@ -327,8 +365,79 @@ def _verdict(additions: Iterable[Addition], leftover: Promoted | None) -> str:
     rivals = [bool(a.rivals) for a in additions]
     if rivals:
         return "ambiguous" if all(rivals) else "named"
-    lawful = leftover is not None and leftover.deficient and any(a.lawful for a in leftover.axes)
-    return "unnamed" if lawful else "nothing_missing"
+    return "unnamed" if leftover is not None and leftover.unnamed else "nothing_missing"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    """What one search gave; `filters`: BIC gain of filters of the IMU that came in on the way."""
+
+    nest: Nest
+    at: NestedFit
+    additions: list[Addition]
+    scores: list[Score]
+    withheld: list[Withheld]
+    warnings: list[str]
+    filters: dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Search:
+    """Screen, add, repeat, prune: with the settings of one run."""
+
+    held_out: HeldOut | None
+    alpha: float
+    seed: int
+    max_effects: int
+    say: Progress
+    interim: Callable[[NestedFit, Iterable[Addition]], None]
+
+    def run(self, nest: Nest, at: NestedFit) -> _Found:
+        """From the fit `at` without any addition until no candidate passes."""
+        additions, withheld, warnings = list[Addition](), list[Withheld](), list[str]()
+        scores: list[Score] = []
+        filters: dict[str, float] = {}
+        for step in range(self.max_effects + 1):
+            self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
+            scores = nest.screen(at, alpha=self.alpha, seed=self.seed)
+            if step == self.max_effects:
+                if any(s.judged and s.p_family <= self.alpha for s in scores):
+                    warnings.append(f"stopped at {self.max_effects} additions: more would pass the tests")
+                break
+            found, refused_now = _earned(nest, at, scores, self.alpha, self.held_out)
+            withheld += refused_now
+            if found is None:
+                break
+            # A filter of the IMU looks like a lag or a delay.
+            instead = filtered_imu(nest, at, found.after) if set(TIMING) & set(found.effects) else None
+            if instead is not None:
+                self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
+                nest, at, gains = instead
+                filters |= gains
+                continue
+            self.say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
+            additions.append(found)
+            at = found.after
+            self.interim(at, additions)
+        at, additions, removed = prune(nest, at, additions)
+        return _Found(
+            nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
+            filters=filters,
+        )  # fmt: skip
+
+
+def _earned(
+    nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, held_out: HeldOut | None
+) -> tuple[Addition | None, list[Withheld]]:
+    """The best addition that flights which were not searched do not contradict, and those that they did."""
+    withheld: list[Withheld] = []
+    while True:
+        out = {n for w in withheld for n in w.effects}
+        found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha)
+        refusal = held_out.withheld(found.before, found.after) if found is not None and held_out is not None else None
+        if refusal is None:
+            return found, withheld
+        withheld.append(refusal)
 
 
 def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, float]]:
@@ -343,9 +452,9 @@ def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, fl
     for s in judged:
         loss = float(np.sqrt(max(s.statistic / s.robust, 1.0))) if s.robust > 0 and s.statistic > s.robust else 1.0
         sizes: dict[str, float] = {}
-        for label, std in s.std.items():
+        for (label, _), std in s.std.items():
             # One value per flight: the flight that sees least decides.
-            name = label.split(".", 1)[1].split(" ")[0]
+            name = label.split(".", 1)[1]
             if np.isfinite(std):
                 sizes[name] = max(sizes.get(name, 0.0), float(need * loss * std))
         out[s.name] = sizes
