@@ -33,6 +33,9 @@ def add(subparsers: Any) -> None:
     p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at the vehicle file's value")
     p.add_argument("--hold-noise", choices=("none", "sensor"), default="none",
                    help="sensor: hold the sensors' noise levels at those of the vehicle file")  # fmt: skip
+    p.add_argument(
+        "--attainable", action="store_true", help="also learn, without a name, what could be closed (extra gp)"
+    )
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
     p.add_argument("--out", default="greybox-discover", metavar="DIR", help="folder for the results")
@@ -72,6 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(out / "discovery.json", content)
         if found.fit is not None:
             found.model.save(out / "model.json")
+        for name, text in found.proposals().items():
+            write_atomic(out / name, text)
 
     def page() -> None:
         write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
@@ -91,8 +96,8 @@ def run(arguments: argparse.Namespace) -> int:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
                 adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
-                fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", seed=arguments.seed,
-                faults=faults, progress=progress, save=write,
+                fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", attainable=arguments.attainable,
+                seed=arguments.seed, faults=faults, progress=progress, save=write,
             )  # fmt: skip
         except KeyboardInterrupt:
             if content:

@@ -17,6 +17,7 @@ import scipy.stats
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import candidates
+from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import GapRow
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune
@@ -71,6 +72,7 @@ class Discovery:
     spectrum: Spectrum | None = None
     tested_on: tuple[str, ...] = ()
     withheld: tuple[Withheld, ...] = ()
+    separating: Mapping[tuple[str, ...], Mapping[str, Any] | None] = field(default_factory=dict)
     sensors: tuple[Mapping[str, Any], ...] = ()
     plain: IdentifiedModel | None = None
 
@@ -171,7 +173,7 @@ class Discovery:
             "ambiguous": [
                 {
                     "candidates": [{"name": n, "weight": w} for n, w in a.rivals.items()],
-                    "separating_manoeuvre": None,
+                    "separating_manoeuvre": self.separating.get(a.effects),
                 }
                 for a in self.additions
                 if a.rivals
@@ -220,6 +222,11 @@ class Discovery:
         for a in self.additions:
             if a.rivals:
                 lines.append("  one of " + ", ".join(f"{n} ({w:.0%})" for n, w in a.rivals.items()))
+                if fly := self.separating.get(a.effects):
+                    lines.append(
+                        f"    to tell them apart, {fly['text']}"
+                        + (f", {fly['amplitude']:g} {fly['unit']}" if fly["unit"] else "")
+                    )
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             lines.append(f"  sensors: {kind} in {', '.join(s['channel'] for s in self.sensors if s['kind'] == kind)}")
         for w in self.withheld:
@@ -336,6 +343,11 @@ def discover(
         null.fit, at.fit, with_proposals(at.fit, leftover, train), train, judged, adapt=adapt, attainable=attainable,
         seed=seed, say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
+    separating = {}
+    for a in additions:
+        if a.rivals:
+            say(f"what separates {' and '.join(a.rivals)}", 0.97)
+            separating[a.effects] = _separating(nest, a)
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not s.judged}
     return Discovery(
         verdict=_verdict(additions, leftover), additions=tuple(additions), fit=at.fit, final=at, leftover=leftover,
@@ -344,7 +356,7 @@ def discover(
         minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
-        withheld=tuple(withheld), plain=plain_model(at.fit, train),
+        withheld=tuple(withheld), separating=separating, plain=plain_model(at.fit, train),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 
@@ -438,6 +450,18 @@ def _earned(
         if refusal is None:
             return found, withheld
         withheld.append(refusal)
+
+
+def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:
+    """The manoeuvre that tells the rivals of an addition apart, each fitted next to what was found before."""
+    before = addition.before
+    fits = {
+        name: nest.refit((*before.effects, *name.split("+")), start=before).fit for name in addition.rivals
+    }  # fmt: skip
+    try:
+        return separating_manoeuvre(fits)
+    except GreyboxError:
+        return None
 
 
 def _detectable(scores: Iterable[Score], alpha: float) -> dict[str, dict[str, float]]:
