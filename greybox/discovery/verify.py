@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
@@ -19,11 +18,9 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
-from greybox.discovery.sensor_noise import parts_of
 from greybox.discovery.veto import Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
-from greybox.model.sensor_noise import SensorNoise
 
 SENSED = {"accelerometer": "force"}
 """What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
