@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import copy
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -25,6 +26,7 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
+from greybox.estimation.record import UNSURE
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
 
@@ -106,9 +108,16 @@ def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray,
         return Linearisation(dynamics, tuple(active), fixed)
 
 
+LOST = 20.0
+"""A command that is not known counts as process noise so many times as strong, for one sample."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Riccati:
-    """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need."""
+    """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need.
+
+    `pieces` are (A, G, C), q and, with slopes, (dA, dG, dC) and dq: for samples after a lost command.
+    """
 
     P: FloatArray
     N: FloatArray  # A P C' + G Q D', (n_d, n_e)
@@ -116,13 +125,35 @@ class Riccati:
     dP: FloatArray | None = None  # (n_s, n_d, n_d)
     dN: FloatArray | None = None
     dS: FloatArray | None = None
+    pieces: tuple[FloatArray, ...] = ()
+
+    @cached_property
+    def _after_lost(self) -> Riccati:
+        """The same for one sample whose state got LOST times the process noise: P grows by (LOST^2 - 1) G Q G'."""
+        a, g, c, q, *slopes = self.pieces
+        w = (LOST**2 - 1) * (g * q) @ g.T
+        usual = Riccati(P=self.P + w, N=self.N + a @ w @ c.T, S=self.S + c @ w @ c.T)
+        if not slopes or self.dP is None or self.dN is None or self.dS is None:
+            return usual
+        da, dg, dc, dq = slopes
+        half = (dg * q) @ g.T
+        dw = (LOST**2 - 1) * (half + half.transpose(0, 2, 1) + (g * dq[:, None, :]) @ g.T)
+        side = dc @ w @ c.T
+        return replace(
+            usual,
+            dP=self.dP + dw,
+            dN=self.dN + da @ (w @ c.T) + a @ dw @ c.T + (a @ w) @ dc.transpose(0, 2, 1),
+            dS=self.dS + side + side.transpose(0, 2, 1) + c @ dw @ c.T,
+        )
 
     def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
-        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured.
+        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured; `UNSURE` follows a lost command.
 
         K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both keep their size.
         """
         m = np.asarray(there) != 0
+        if self.pieces and (np.asarray(there) == UNSURE).any():
+            return self._after_lost.gain(m)
         ne = m.size
         s = np.eye(ne)
         s[np.ix_(m, m)] = self.S[np.ix_(m, m)]
@@ -206,7 +237,7 @@ def stationary(
     n_ = a @ p @ c.T + gqd
     s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
     if slopes is None or dq is None or dr is None:
-        return Riccati(P=p, N=n_, S=s)
+        return Riccati(P=p, N=n_, S=s, pieces=(a, g, c, q))
     # Gain of the problem with the pseudo-sensor (the one that P solves).
     full_s = np.block([[s, c @ p], [p @ c.T, p + np.diag(weak)]])
     full_k = np.column_stack([n_, a @ p]) @ np.linalg.inv(full_s)
@@ -224,7 +255,7 @@ def stationary(
     half = dc @ pc + (dd * q) @ d.T
     ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + (d * dq[:, None, :]) @ d.T
     ds[:, np.arange(r.size), np.arange(r.size)] += dr
-    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds)
+    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, pieces=(a, g, c, q, da, dg, dc, dq))
 
 
 def _extend(stack: FloatArray, n: int) -> FloatArray:

@@ -10,12 +10,18 @@ from greybox.data import Dataset, Segment
 from greybox.errors import DataError
 from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
+
+UNSURE = 2.0
+"""In patterns: measured, but the command of the row before was lost."""
+RARE = 0.1
+"""Share of a record's rows up to which rows without any measurement count as lost."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there, `pattern` (n,) which."""
+    """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there, `pattern` (n,) which:
+    0 missing, 1 there, `UNSURE` there, after a row that was lost with its command."""
 
     flight: str
     segment: Segment
@@ -68,7 +74,8 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) ->
     there = np.isfinite(y)
     at = {n: i for i, n in enumerate(dynamics.outputs.names)}
     mask = np.column_stack([there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns])
-    patterns, pattern = np.unique(mask, axis=0, return_inverse=True)
+    kinds = np.where(mask & _after_lost(mask, u)[:, None], UNSURE, mask)
+    patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
     start = {n: segment.channels[n][:few] for n in segment.channels}
     start["t"] = segment.t[:few]
@@ -78,6 +85,16 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) ->
         mask=mask.astype(np.float64), pattern=pattern.ravel().astype(np.int32), patterns=patterns.astype(np.float64),
         dt=segment.dt, x0=x0, x0_sigma=sigma, held=held,
     )  # fmt: skip
+
+
+def _after_lost(mask: BoolArray, u: FloatArray) -> BoolArray:
+    """(n,) rows that follow a lost one: nothing was measured there, and its command is only that of the row before."""
+    lost = np.asarray(~mask.any(axis=1))
+    lost[1:] &= (u[1:] == u[:-1]).all(axis=1)
+    lost[0] = False
+    if lost.mean() > RARE:
+        return np.zeros_like(lost)
+    return np.concatenate([[False], lost[:-1]])
 
 
 def make_records(engine: Engine, dataset: Dataset) -> list[Record]:
