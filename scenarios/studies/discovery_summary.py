@@ -1,0 +1,239 @@
+"""Tables and figures of the discovery grid: rates with Wilson intervals, confusion, power, parameters, gap, times.
+
+Wilson 1927, JASA 22(158): the interval of a binomial share that keeps its level near 0 and 1.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from greybox.files import write_atomic
+
+Row = dict[str, Any]
+VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
+JUDGING = 1000
+"""Seeds from here on judge; those below were used while the code was written."""
+
+
+def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a share."""
+    if not total:
+        return 0.0, 1.0
+    p, n = hits / total, float(total)
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+
+
+def _share(hits: int, total: int) -> str:
+    low, high = wilson(hits, total)
+    return f"{hits}/{total} = {100 * hits / max(total, 1):.1f} % ({100 * low:.1f}-{100 * high:.1f})"
+
+
+def _label(row: Row) -> tuple[str, ...]:
+    return row["kind"], row["size"], row["vehicle"], row["nominal"], row["noise"], row["columns"]
+
+
+def _grouped(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
+    out: dict[Any, list[Row]] = defaultdict(list)
+    for r in rows:
+        out[key(r)].append(r)
+    return dict(sorted(out.items(), key=lambda item: str(item[0])))
+
+
+def false_names(row: Row, alpha: float) -> bool:
+    """Whether a clean flight got a name (or a group) at this level; runs are made at 0.05."""
+    if row["judged"] in ("right", "silent", "failed"):
+        return False
+    return not row["p_values"] or min(row["p_values"]) <= alpha
+
+
+def rates(rows: Sequence[Row]) -> list[str]:
+    """Lines of a table: verdicts per kind of cell."""
+    lines = [
+        "| cell | " + " | ".join(VERDICTS) + " | right or group (95 %) | false (95 %) |",
+        "|---|" + "---|" * (len(VERDICTS) + 2),
+    ]
+    for label, members in _grouped(rows, _label).items():
+        c = Counter(r["judged"] for r in members)
+        n = len(members)
+        good = c["right"] + (c["silent"] if label[0] == "clean" else c["group"])
+        lines.append(
+            f"| {' '.join(label)} | " + " | ".join(str(c[v]) for v in VERDICTS)
+            + f" | {_share(good, n)} | {_share(c['extra'] + c['wrong'], n)} |"
+        )  # fmt: skip
+    return lines
+
+
+def clean_rates(rows: Sequence[Row]) -> list[str]:
+    """Lines: false names on clean flights at two levels, unnamed laws there."""
+    lines = ["| clean flights | alpha 0.05 | alpha 0.01 | called unnamed |", "|---|---|---|---|"]
+    clean = [r for r in rows if r["kind"] == "clean" and r["judged"] != "failed"]
+    groups = _grouped(clean, lambda r: _label(r)[2:])
+    for label, members in [*groups.items(), (("all",), clean)]:
+        n = len(members)
+        cells = [_share(sum(false_names(r, a) for r in members), n) for a in (0.05, 0.01)]
+        lines.append(
+            f"| {' '.join(label)} | {' | '.join(cells)} | {_share(sum(bool(r['unnamed']) for r in members), n)} |"
+        )
+    return lines
+
+
+def recall(rows: Sequence[Row]) -> list[str]:
+    """Lines: recall and precision where several effects hide (members of a group that holds a hidden effect count)."""
+    lines = []
+    for kind in ("pair", "triple", "five"):
+        hits = wanted = named = true = 0
+        for r in rows:
+            if r["kind"] != kind or r["judged"] == "failed":
+                continue
+            truth = set(r["hidden"])
+            groups = [{n for c in a for n in c.split("+")} for a in r["ambiguous"]]
+            wanted += len(truth)
+            hits += len(truth & (set(r["effects"]).union(*groups)))
+            named += len(r["effects"]) + len(groups)
+            true += len(truth & set(r["effects"])) + sum(bool(g & truth) for g in groups)
+        if wanted:
+            lines.append(f"{kind}: recall {_share(hits, wanted)}, precision {_share(true, named)}")
+    return lines
+
+
+def parameters(rows: Sequence[Row]) -> list[str]:
+    """Lines: relative errors of right names and coverage of their intervals."""
+    errors: dict[str, list[float]] = defaultdict(list)
+    inside: dict[str, list[bool]] = defaultdict(list)
+    for r in rows:
+        if r["judged"] != "right":
+            continue
+        for effect, own in r["effects"].items():
+            for name, (value, std) in own.items():
+                true = r["truth"].get(f"{effect}.{name}", 0.0)
+                if true:
+                    errors[r["size"]].append(abs(value - true) / abs(true))
+                if std:
+                    inside[r["size"]].append(abs(value - true) <= 1.96 * std)
+    lines = ["| size | values | median error | 90th percentile | 95 % intervals that cover |", "|---|---|---|---|---|"]
+    for size, e in errors.items():
+        lines.append(
+            f"| {size} | {len(e)} | {100 * np.median(e):.2g} % | {100 * np.quantile(e, 0.9):.2g} % | "
+            f"{_share(sum(inside[size]), len(inside[size]))} |"
+        )
+    return lines
+
+
+def gap_and_time(rows: Sequence[Row]) -> list[str]:
+    """Lines: share of the gap closed half a second ahead in the most affected group, and seconds."""
+    lines = []
+    for size, members in _grouped([r for r in rows if r["kind"] != "clean"], lambda r: r["size"]).items():
+        closed = [r["closed"][1] for r in members if r["judged"] == "right" and r["closed"]]
+        if closed:
+            lines.append(
+                f"gap closed 0.5 s ahead, {size}: median {np.median(closed):.3f}, worst {min(closed):.3f} of {len(closed)}"
+            )
+    for kind, members in _grouped([r for r in rows if "seconds" in r], lambda r: r["kind"]).items():
+        seconds = [r["seconds"] for r in members]
+        lines.append(f"seconds, {kind}: median {np.median(seconds):.1f}, longest {max(seconds):.1f}")
+    return lines
+
+
+def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], np.ndarray[Any, np.dtype[np.int_]]]:
+    """(hidden effects, what was said, counts) of single effects."""
+    single = [r for r in rows if r["kind"] == "single" and r["judged"] != "failed"]
+    hidden = sorted({r["hidden"][0] for r in single})
+    said = []
+    for r in single:
+        truth = r["hidden"][0]
+        false = [n for n in r["effects"] if n != truth]
+        said.append((truth, false[0] if false else truth if r["judged"] == "right" else f"({r['judged']})"))
+    columns = [*sorted({s for _, s in said if not s.startswith("(")} | set(hidden)), "(group)", "(silent)", "(wrong)"]
+    counts = np.zeros((len(hidden), len(columns)), dtype=int)
+    for truth, name in said:
+        counts[hidden.index(truth), columns.index(name if name in columns else "(wrong)")] += 1
+    return hidden, columns, counts
+
+
+def troubles(rows: Sequence[Row]) -> list[str]:
+    """Lines: every case that is neither right nor silent nor a group."""
+    return [
+        f"{' '.join(_label(r))} {r['seed']} {'+'.join(r['hidden']) or 'clean'}: {r['judged']}: "
+        + (", ".join(r.get("effects", ())) or r.get("error", "") or str(r.get("ambiguous")))
+        for r in rows
+        if r["judged"] in ("wrong", "extra", "failed")
+    ]
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Everything as text."""
+    hidden, columns, counts = confusion(rows)
+    matrix = [
+        f"{h}: " + ", ".join(f"{columns[j]} {counts[i, j]}" for j in np.flatnonzero(counts[i]))
+        for i, h in enumerate(hidden)
+    ]
+    parts = [rates(rows), clean_rates(rows), recall(rows), parameters(rows), gap_and_time(rows), matrix, troubles(rows)]
+    return "\n\n".join("\n".join(p) for p in parts if p)
+
+
+def write_docs(rows: Sequence[Row], folder: Path) -> None:
+    """`discovery_results.md` and two figures, from the judging seeds only."""
+    rows = [r for r in rows if r["seed"] >= JUDGING]
+    text = [
+        "# Discovery: what the grid says", "",
+        f"Written by `python -m scenarios.studies.discovery_grid --summary --docs docs`; {len(rows)} logs with seeds from "
+        f"{JUDGING} on, which nothing was tuned on. Shares with 95 % Wilson intervals.", "",
+        *rates(rows), "", *clean_rates(rows), "", *(f"- {x}" for x in recall(rows)), "", *parameters(rows), "",
+        *(f"- {x}" for x in gap_and_time(rows)), "", "## Every false name", "",
+        *([f"- {x}" for x in troubles(rows)] or ["None."]), "",
+        "![confusion matrix](images/discovery_confusion.svg)", "", "![power](images/discovery_power.svg)", "",
+    ]  # fmt: skip
+    write_atomic(folder / "discovery_results.md", "\n".join(text))
+    (folder / "images").mkdir(exist_ok=True)
+    for name, figure in (("confusion", _confusion_figure(rows)), ("power", _power_figure(rows))):
+        stream = io.StringIO()
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+        write_atomic(folder / "images" / f"discovery_{name}.svg", stream.getvalue())
+
+
+def _confusion_figure(rows: Sequence[Row]) -> Figure:
+    hidden, columns, counts = confusion([r for r in rows if r["size"] != "near"])
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1)
+    for i, j in np.argwhere(counts):
+        axes.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=6)
+    axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=6)
+    axes.set_yticks(range(len(hidden)), hidden, fontsize=6)
+    axes.set_xlabel("said", fontsize=8)
+    axes.set_ylabel("hidden (large and medium)", fontsize=8)
+    return figure
+
+
+def _power_figure(rows: Sequence[Row]) -> Figure:
+    """Shares of single effects against their size in noise."""
+    figure = Figure(figsize=(6, 3), layout="constrained")
+    axes = figure.subplots()
+    single = [r for r in rows if r["kind"] == "single" and r["in_noise"] and r["judged"] != "failed"]
+    if single:
+        size = np.log10([r["in_noise"] for r in single])
+        edges = np.linspace(size.min() - 1e-9, size.max() + 1e-9, min(8, max(2, len(single) // 8)) + 1)
+        kinds = {"right": ("right",), "right or group": ("right", "group"), "false": ("wrong", "extra")}
+        for name, verdicts in kinds.items():
+            points = []
+            for low, high in itertools.pairwise(edges):
+                members = [r for r, v in zip(single, size, strict=True) if low <= v < high]
+                if members:
+                    points.append((10 ** (0.5 * (low + high)), np.mean([r["judged"] in verdicts for r in members])))
+            axes.plot(*zip(*points, strict=True), "o-", label=name, markersize=3, linewidth=1)
+    axes.set_xscale("log")
+    axes.set_xlabel("RMS change of the one-step errors, in their standard deviations", fontsize=8)
+    axes.set_ylabel("share of logs", fontsize=8)
+    axes.legend(fontsize=7, frameon=False)
+    axes.tick_params(labelsize=7)
+    return figure
