@@ -20,12 +20,13 @@
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
+| f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
 
-Groups "covariance", "filter", "target" and "hessian" come on request. All results are dense, column by column. x holds the
+Groups "covariance", "filter", "target", "hessian" and "nominal" come on request. All results are dense, column by column. x holds the
 model's own states and then the command history (sampled.py); p the battery voltage where the model has one, the
-parameters asked for, and, with "gp.weights", the weights of the learned part. With a learned part the functions are MX
-(one `exp` over the support points, analytic Jacobians), else SX.
+parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX inside; a learned part is MX
+(one `exp` over the support points, analytic Jacobians).
 
 This file is long because the functions of one model are one thing: they share their parts and their order.
 """
@@ -52,7 +53,7 @@ from mpc_export.noise import Noise, identified_noise, linear_noise, parameter_co
 from mpc_export.sampled import Sampled, at_sample_time, is_discrete
 from mpc_export.target import target_function, tracked
 
-GROUPS = ("covariance", "filter", "target", "hessian")
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
 WEIGHTS = "gp.weights"
 EULER = ("phi", "theta", "psi")
 
@@ -271,45 +272,46 @@ class _Builder:
         self.functions[name] = ca.Function(name, [mx, mu, mp], [value], ["x", "u", "p"], [result])
 
     def _jacobians(
-        self,
-        name: str,
-        results: tuple[str, str, str, str],
-        value: Expr,
-        slopes: tuple[Expr, ...],
-        kind: str,
-    ) -> Any:
-        """Adds name(x, u, p) -> value and its slopes in x, u, p; `slopes` are those of the physics in x, u, p and w.
+        self, name: str, results: tuple[str, str, str, str], value: Expr, slopes: tuple[Expr, ...], kind: str
+    ) -> None:
+        """Adds name(x, u, p) -> value and its slopes in x, u, p; `slopes` are those of the physics in x, u, p and w."""
+        x = self.x[: len(self.sampled.dynamics.states)] if kind == "own" else self.x
+        parts = [ca.densify(value), *(ca.sparsify(v) for v in slopes[:3]), ca.sparsify(slopes[3] @ self.spread)]
+        if self.posterior is None:
+            parts = ca.substitute(parts[:4], [self.w], [ca.DM.zeros(self.w.numel())])
+            physics = ca.Function(f"physics_{name}", [x, self.u, self.p], ca.cse(parts))
+        else:
+            physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], ca.cse(parts))
+        self._close(name, results, physics, kind)
+
+    def _close(self, name: str, results: tuple[str, str, str, str], physics: Any, kind: str, turn: Any = None) -> None:
+        """Adds name(x, u, p) from `physics`(x, u, p[, w]) -> value, slopes in x, u, p[, w]; `turn`(x, value, slopes) changes
+        their coordinates.
 
         With a learned part: d/dx = physics_x + physics_w spread gp_jacobian features_x, and so on.
         """
-        own = kind == "own"
-        x = self.x[: len(self.sampled.dynamics.states)] if own else self.x
+        mx, mu, mp = self._arguments(kind == "own")
         if self.posterior is None:
-            zero = ca.DM.zeros(self.w.numel())
-            values = ca.cse([ca.substitute(v, self.w, zero) for v in (value, *slopes[:3])])
-            made = ca.Function(
-                name, [x, self.u, self.p], [ca.densify(v) for v in values], ["x", "u", "p"], list(results)
-            )
-            self.functions[name] = made
-            return made
-        through = slopes[3] @ self.spread
-        parts = ca.cse([ca.densify(value), *(ca.sparsify(v) for v in slopes[:3]), ca.densify(through)])
-        physics = ca.Function(f"physics_{name}", [x, self.u, self.p, self.w], parts)
-        mx, mu, mp = self._arguments(own)
-        z, z_x, z_u, z_p = self._features(kind)(mx, mu, mp)
-        mean, slope = self._mean_jacobian()(z, mp)
-        y, y_x, y_u, y_p, y_g = physics(mx, mu, self._own_p(mp), self.spread @ mean)
-        by_z = y_g @ slope
-        y_p = ca.horzcat(y_p, ca.MX(y_p.shape[0], len(self.parameters) - self.p.numel())) + by_z @ z_p
-        if self.weights:
-            q = ca.MX.sym("q", len(self.parameters))
-            fixed = ca.MX.sym("z", z.numel())
-            by_weight = ca.Function("gp_mean_by_weight", [fixed, q], [ca.jacobian(self._mean()(fixed, q), q)])
-            y_p = y_p + y_g @ by_weight(z, mp)
-        values = [ca.densify(v) for v in (y, y_x + by_z @ z_x, y_u + by_z @ z_u, y_p)]
-        made = ca.Function(name, [mx, mu, mp], values, ["x", "u", "p"], list(results))
-        self.functions[name] = made
-        return made
+            y, *slopes = physics(mx, mu, mp)
+            if turn is not None:
+                slopes = list(turn(mx, y, *slopes))
+            values = [ca.densify(v) for v in (y, *slopes)]
+        else:
+            z, z_x, z_u, z_p = self._features(kind)(mx, mu, mp)
+            mean, slope = self._mean_jacobian()(z, mp)
+            y, *slopes = physics(mx, mu, self._own_p(mp), self.spread @ mean)
+            if turn is not None:
+                slopes = list(turn(mx, y, *slopes))
+            y_x, y_u, y_p, y_g = slopes
+            by_z = y_g @ slope
+            y_p = ca.horzcat(y_p, ca.MX(y_p.shape[0], len(self.parameters) - self.p.numel())) + by_z @ z_p
+            if self.weights:
+                q = ca.MX.sym("q", len(self.parameters))
+                fixed = ca.MX.sym("z", z.numel())
+                by_weight = ca.Function("gp_mean_by_weight", [fixed, q], [ca.jacobian(self._mean()(fixed, q), q)])
+                y_p = y_p + y_g @ by_weight(z, mp)
+            values = [ca.densify(v) for v in (y, y_x + by_z @ z_x, y_u + by_z @ z_u, y_p)]
+        self.functions[name] = ca.Function(name, [mx, mu, mp], values, ["x", "u", "p"], list(results))
 
     # ------------------------------------------------------------------------------------------------ families
 
@@ -324,12 +326,38 @@ class _Builder:
         after = s.step(x, u, p, w)
         self._value("f_d", "x_next", after)
         raw = [ca.jacobian(after, v) for v in (x, u, p, w)]
-        self._jacobians("f_d_jac_raw", ("x_next", "A_raw", "B_raw", "P_raw"), after, tuple(raw), "raw")
+        names = ("x_next", "A_raw", "B_raw", "P_raw")
+        learned = self.posterior is not None
+        parts = [ca.densify(after), *(ca.sparsify(v) for v in raw[:3])]
+        if learned:
+            physics = ca.Function("physics_f_d", [x, u, p, w], ca.cse([*parts, ca.sparsify(raw[3] @ self.spread)]))
+        else:
+            parts = ca.substitute(parts, [w], [ca.DM.zeros(w.numel())])
+            physics = ca.Function("physics_f_d", [x, u, p], ca.cse(parts))
+        self._close("f_d_jac_raw", names, physics, "raw")
+        # The same physics serves both, so that the code holds it once.
+        ends, coded = (
+            ca.SX.sym("x_next", x.numel()),
+            [ca.SX.sym("m", physics.sparsity_out(k + 1)) for k in range(3 + learned)],
+        )
+        into, out = s.chart(x, ends)
+        turned = [out @ coded[0] @ into, *(out @ v for v in coded[1:])]
+        turn = ca.Function("to_error_coordinates", [x, ends, *coded], [ca.sparsify(v) for v in turned])
+        self._close("f_d_jac", ("x_next", "A", "B", "P"), physics, "error", turn)
         into, out = s.chart(x, after)
-        error = (out @ raw[0] @ into, out @ raw[1], out @ raw[2], out @ raw[3])
-        self._jacobians("f_d_jac", ("x_next", "A", "B", "P"), after, error, "error")
+        error = tuple(out @ v for v in raw)
         self.through = {"B_d": error[3] @ self.spread, "B_d_raw": raw[3] @ self.spread}
         self.noise_input = error[3]
+
+    def _nominal(self, after: Expr, raw: list[Expr]) -> None:
+        """The step of the physics alone and its raw Jacobians; the weights of a learned part in p change nothing."""
+        p, quiet = ca.SX.sym("p", len(self.parameters)), ca.DM.zeros(self.w.numel())
+        by_p = ca.horzcat(raw[2], ca.SX(after.numel(), p.numel() - self.p.numel()))
+        values = ca.substitute([after, raw[0], raw[1], by_p], [self.w, self.p], [quiet, self._own_p(p)])
+        names = ("x_next", "A_raw", "B_raw", "P_raw")
+        for name, n in (("f_d_nominal", 1), ("f_d_nominal_jac_raw", 4)):
+            results = ca.cse([ca.densify(v) for v in values[:n]])
+            self.functions[name] = ca.Function(name, [self.x, self.u, p], results, ["x", "u", "p"], list(names[:n]))
 
     def _outputs(self) -> None:
         s, x, u, p, w = self.sampled, self.x, self.u, self.p, self.w
@@ -459,24 +487,33 @@ class _Builder:
     def _filter(self) -> None:
         s, noise = self.sampled, self.noise
         ne, ny = len(s.dynamics.innovations), len(s.dynamics.outputs)
+        # A missing innovation is replaced by its expectation given the others, then the stationary gain applies: with
+        # W = S^-1 that is e_gone = -W_gone,gone^-1 W_gone,there e_there, and K of a pattern is K times this map. Numbers
+        # are scaled to a unit diagonal of W, which single precision needs.
+        inverse = np.linalg.inv(noise.innovation)
+        size = 1 / np.sqrt(np.diag(inverse))
+        weight = ca.DM(inverse * np.outer(size, size))
         there, e = ca.SX.sym("there", ne), ca.SX.sym("e", ne)
-        on = ca.if_else(there != 0, 1.0, 0.0)
-        # Channels that are missing get a unit variance and no weight, as in greybox.estimation.gain.
-        mask = on @ on.T
-        full = ca.DM(noise.innovation) * (mask - ca.diag(on)) + ca.diag(on * ca.diag(ca.DM(noise.innovation)) + 1 - on)
-        factor = cholesky(full)
-        cross = ca.DM(noise.cross) * ca.repmat(on.T, noise.cross.shape[0], 1)
-        moved = cross @ cholesky_solve(factor, ca.vertcat(*(ca.if_else(there[i] != 0, e[i], 0.0) for i in range(ne))))
-        correct = ca.Function("correction", [e, there], [ca.densify(ca.cse(moved))])
-        gain = ca.cse([ca.densify(cholesky_solve(factor, cross.T).T), ca.densify(full)])
-        self.functions["innovation_gain"] = ca.Function("innovation_gain", [there], gain, ["there"], ["K", "S"])
+        gone = ca.if_else(there != 0, 0.0, 1.0)
+        known = ca.vertcat(*(ca.if_else(there[i] != 0, e[i] / size[i], 0.0) for i in range(ne)))
+        both = weight * (gone @ gone.T - ca.diag(gone)) + ca.SX.eye(ne)
+        filled = (known - gone * cholesky_solve(cholesky(both), gone * (weight @ known))) * size
+        fill = ca.Function("fill_innovation", [e, there], [ca.cse(ca.densify(filled))])
+        mt = ca.MX.sym("there", ne)
+        on = ca.if_else(mt != 0, 1.0, 0.0)
+        gain = ca.MX(ca.DM(noise.gain)) @ ca.horzcat(*(fill(ca.DM.eye(ne)[:, i], mt) for i in range(ne)))
+        spread = ca.DM(noise.innovation) * (on @ on.T) + ca.diag(1 - on)
+        self.functions["innovation_gain"] = ca.Function(
+            "innovation_gain", [mt], [ca.densify(gain), ca.densify(spread)], ["there"], ["K", "S"]
+        )
         y, y_hat = ca.SX.sym("y", ny), ca.SX.sym("y_hat", ny)
         innovation = ca.Function("innovation", [y, y_hat, self.x], [ca.densify(s.innovation(y, y_hat, self.x))])
         mx, mu, mp = self._arguments()
-        my, mt = ca.MX.sym("y", ny), ca.MX.sym("there", ne)
+        my = ca.MX.sym("y", ny)
         seen = self.functions["h"](mx, mu, mp)
         found = innovation(my, seen, mx)
-        after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correct(found, mt))
+        correction = ca.mtimes(ca.DM(noise.gain), fill(found, mt))
+        after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correction)
         self.functions["filter_step"] = ca.Function(
             "filter_step", [mx, mu, mp, my, mt], [after, found, seen], ["x", "u", "p", "y", "there"],
             ["x_next", "e", "y_hat"],
