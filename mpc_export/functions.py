@@ -23,8 +23,8 @@
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
 
-Groups "covariance", "filter", "target", "hessian" and "nominal" come on request. All results are dense, column by column. x holds the
-model's own states and then the command history (sampled.py); p the battery voltage where the model has one, the
+Groups "covariance", "filter", "target", "hessian", "nominal" come on request. All results are dense, column by column. x
+holds the model's own states and then the command history (sampled.py); p the battery voltage where the model has one, the
 parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX inside; a learned part is MX
 (one `exp` over the support points, analytic Jacobians).
 
@@ -335,6 +335,8 @@ class _Builder:
             parts = ca.substitute(parts, [w], [ca.DM.zeros(w.numel())])
             physics = ca.Function("physics_f_d", [x, u, p], ca.cse(parts))
         self._close("f_d_jac_raw", names, physics, "raw")
+        if learned and "nominal" in self.groups:
+            self._nominal(physics)
         # The same physics serves both, so that the code holds it once.
         ends, coded = (
             ca.SX.sym("x_next", x.numel()),
@@ -349,15 +351,15 @@ class _Builder:
         self.through = {"B_d": error[3] @ self.spread, "B_d_raw": raw[3] @ self.spread}
         self.noise_input = error[3]
 
-    def _nominal(self, after: Expr, raw: list[Expr]) -> None:
+    def _nominal(self, physics: Any) -> None:
         """The step of the physics alone and its raw Jacobians; the weights of a learned part in p change nothing."""
-        p, quiet = ca.SX.sym("p", len(self.parameters)), ca.DM.zeros(self.w.numel())
-        by_p = ca.horzcat(raw[2], ca.SX(after.numel(), p.numel() - self.p.numel()))
-        values = ca.substitute([after, raw[0], raw[1], by_p], [self.w, self.p], [quiet, self._own_p(p)])
-        names = ("x_next", "A_raw", "B_raw", "P_raw")
+        x, u, p = self._arguments()
+        values = list(physics(x, u, self._own_p(p), ca.DM.zeros(self.w.numel())))[:4]
+        values[3] = ca.horzcat(values[3], ca.MX(x.numel(), p.numel() - self.p.numel()))
+        names = ["x_next", "A_raw", "B_raw", "P_raw"]
         for name, n in (("f_d_nominal", 1), ("f_d_nominal_jac_raw", 4)):
-            results = ca.cse([ca.densify(v) for v in values[:n]])
-            self.functions[name] = ca.Function(name, [self.x, self.u, p], results, ["x", "u", "p"], list(names[:n]))
+            results = [ca.densify(v) for v in values[:n]]
+            self.functions[name] = ca.Function(name, [x, u, p], results, ["x", "u", "p"], names[:n])
 
     def _outputs(self) -> None:
         s, x, u, p, w = self.sampled, self.x, self.u, self.p, self.w
