@@ -27,10 +27,11 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 
 
 def posterior(
-    names: tuple[str, ...], *, points: int = 21, method: str = "sgpr", silent: tuple[int, ...] = (), noise: float = 0.01
-) -> GPPosterior:
+    names: tuple[str, ...], *, points: int = 21, method: str = "sgpr", silent: tuple[int, ...] = (), noise: float = 0.01,
+    inputs: int = 4,
+) -> GPPosterior:  # fmt: skip
     """One output per kernel name ("same" shares the one before); inputs and outputs scaled and shifted."""
-    n_in, rng = 4, np.random.default_rng(7)
+    n_in, rng = inputs, np.random.default_rng(7)
     x = rng.standard_normal((200, n_in))
     kernels: list[Kernel] = []
     for name in names:
