@@ -6,6 +6,7 @@ white force and torque noise and no disturbance states: process noise that is co
 
 from __future__ import annotations
 
+import concurrent.futures
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -267,6 +268,7 @@ def discover(
     faults: CheckReport | None = None,
     progress: Progress | None = None,
     save: Callable[[Discovery], None] | None = None,
+    executor: concurrent.futures.Executor | None = None,
 ) -> Discovery:
     """Find, name and add what the model of `vehicle` misses on the flights of `train`; judge on `test`.
 
@@ -275,7 +277,8 @@ def discover(
     of the vehicle file, `hold_sensor_noise` keeps the sensors' levels there too. `attainable`: also learn what the bare
     model misses with a Gaussian process (extra `gp`), the line that names are held against. `faults`: what `check_logs`
     said about the files (by default the data sets are checked, which no longer show faults of their clock). `save` gets
-    what is known after every step, so that an interruption loses nothing. Raises `DataError`, `ModelError`, `FitError`.
+    what is known after every step, so that an interruption loses nothing. `executor` fits the rivals of a step side by
+    side, in processes or on a cluster, with the same result. Raises `DataError`, `ModelError`, `FitError`.
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
@@ -296,7 +299,7 @@ def discover(
     offered = replace(offered, core=tuple(n for n in offered.core if n not in fixed))
     choices = {"per_flight": per_flight, "estimate_noise": "process" if hold_sensor_noise else True}
     settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
-    nest = Nest(candidates=offered, data=train, choices=choices)
+    nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
         # A model file has white sensors: what was saved without their noise models stands until the end.
