@@ -1,0 +1,107 @@
+"""A name stays only if flights that were not searched agree and nothing larger is left where the effect acts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greybox.discovery.gap import Foresight
+from greybox.discovery.leftover import Leftover
+from greybox.discovery.veto import HeldOut, ahead_gain, misfit, misfit_of
+
+LEVELS = {f"{k}.{a}": s for k, s in (("force", 0.1), ("torque", 0.001)) for a in "xyz"}
+
+
+def law(channel: str, *, rms: float, share: float, gain: float, terms: dict[str, float] | None = None) -> Leftover:
+    """An unnamed axis."""
+    found = {"north.y": 1.0} if terms is None else terms
+    return Leftover(channel=channel, unit="", rms=rms, share=share, terms=found, depends_on=(), gain=gain)
+
+
+def torque(size: float, n: int = 200) -> np.ndarray:
+    """A wrench (n, 6) that is a roll torque of that RMS."""
+    out = np.zeros((n, 6))
+    out[:, 3] = size * np.sqrt(2) * np.sin(np.arange(n))
+    return out
+
+
+def test_a_law_larger_than_the_effect_takes_its_name_back():
+    left = [law("torque.x", rms=0.004, share=0.9, gain=2000)]
+    found = misfit(("rotor_asymmetry",), torque(0.001), LEVELS, left, 100)
+    assert found is not None
+    assert found.effects == ("rotor_asymmetry",)
+    assert "torque.x" in found.reason
+
+
+@pytest.mark.parametrize(
+    "left",
+    [
+        law("torque.x", rms=0.0001, share=0.9, gain=50),  # small against the effect
+        law("force.z", rms=9.0, share=0.9, gain=9000),  # elsewhere
+        law("torque.x", rms=0.004, share=0.1, gain=300),  # no law, and not far more than the effect
+    ],
+)
+def test_little_left_or_left_elsewhere_leaves_the_name_alone(left: Leftover):
+    assert misfit(("rotational_damping",), torque(0.001), LEVELS, [left], 100) is None
+
+
+def test_far_more_left_without_a_law_takes_it_back_too():
+    assert misfit(
+        ("rotational_damping",), torque(0.001), LEVELS, [law("torque.x", rms=0.1, share=0, gain=600, terms={})], 100
+    )
+
+
+def test_an_effect_without_a_wrench_is_not_judged_by_it_but_by_its_sensor():
+    left = [law("force.x", rms=1.0, share=0.9, gain=800)]
+    assert misfit(("gyro_bias",), torque(0.0), LEVELS, left, 100) is None
+    assert misfit_of(("accelerometer_scale",), {"force"}, {}, left, 100) is not None
+    assert misfit_of(("gyro_bias",), {"torque"}, {}, left, 100) is None
+
+
+def seen(level: float, loglik: float, seed: int = 0) -> Foresight:
+    """Errors of that mean square, twelve seconds of flight."""
+    rng = np.random.default_rng(seed)
+    own = {("rate", h): [level * rng.uniform(0.8, 1.2, 20) for _ in range(12)] for h in (0.0, 0.1, 0.5)}
+    return Foresight(own=own, floor={}, loglik=loglik)
+
+
+def test_the_gain_ahead_is_the_relative_fall_of_the_mean_square():
+    gain, error = ahead_gain(seen(4.0, 0), seen(3.0, 0, seed=1))
+    assert gain == pytest.approx(0.25, abs=0.03)
+    assert 0 < error < 0.02
+    assert ahead_gain(seen(4.0, 0), Foresight(own={}, floor={}, loglik=0)) == (0.0, 0.0)
+
+
+class Fitted:
+    """What the veto looks at of a fit."""
+
+    def __init__(self, effects: tuple[str, ...], stage: str = "wrench") -> None:
+        named = [type("E", (), {"name": e, "stage": stage})() for e in effects]
+        physics = type("P", (), {"effects": named})()
+        self.effects, self.fit = effects, type("F", (), {"model": type("M", (), {"physics": physics})()})()
+
+
+def verdict(old: Foresight, new: Foresight, stage: str = "wrench") -> Any:
+    held = HeldOut(None)  # type: ignore[arg-type]
+    before, after = Fitted(()), Fitted(("x",), stage)
+    held.foresight = lambda f: old if f is before else new  # type: ignore[method-assign, assignment, return-value]
+    return held.withheld(before, after)  # type: ignore[arg-type]
+
+
+def test_held_out_flights_decide():
+    assert verdict(seen(4.0, 0), seen(3.0, 5)) is None
+    worse = verdict(seen(4.0, 0), seen(3.0, -1))
+    assert worse is not None
+    assert worse.loglik_gain == -1
+    grown = verdict(seen(4.0, 0), seen(6.0, 5))
+    assert grown is not None
+    assert grown.ahead_gain is not None
+    assert grown.ahead_gain < 0
+    nothing = verdict(seen(4.0, 0), seen(4.0, 5))
+    assert nothing is not None
+
+
+def test_an_effect_of_a_sensor_need_not_look_ahead():
+    assert verdict(seen(4.0, 0), seen(4.0, 5), stage="sensor") is None
