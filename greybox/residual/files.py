@@ -22,15 +22,20 @@ from greybox.residual.posterior import GPPosterior
 
 def save_model(model: IdentifiedModel, path: str | os.PathLike[str]) -> Path:
     """Write a model file atomically. Returns the path. Raises `ModelError` for a model not made of catalogue parts."""
+    return write_json(path, model_to_dict(model))
+
+
+def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
+    """Plain values of a model file of either kind. Raises `ModelError` for a model not made of catalogue parts."""
     dynamics = model.dynamics
     if not isinstance(dynamics, HybridModel):
-        return model.save(path)
+        return model.to_dict()
     body: dict[str, Any] = {
         "schema": SCHEMA, "kind": "hybrid", "name": model.name,
         "base": replace(model, dynamics=dynamics.inner).to_dict(), "gp": dynamics.posterior.to_dict(),
         "versions": library_versions(),
     }  # fmt: skip
-    return write_json(path, {**body, "checksum": _checksum(body)})
+    return {**body, "checksum": _checksum(body)}
 
 
 def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:

@@ -1,0 +1,326 @@
+"""ExportBundle: one folder that holds everything a controller needs of a model, and nothing of greybox.
+
+    manifest.json     what it is: signal order, units, frames, sample time, bounds, values, covariance, sizes, checksums
+    README.md         ordering tables and the two lines that build and run the self-test
+    c/                generated functions, readable wrapper, self-test, CMakeLists.txt, pkg-config file, C++ example
+    python/           rebuild.py with functions.json and functions.npz: the CasADi functions from numbers alone
+    casadi/           the same as .casadi files, for this CasADi version: a convenience
+    golden/           one CSV per function: arguments and results
+    LICENSES/         of everything inside
+
+A bundle is written beside its place and then moved there; an existing folder is replaced only when it is a bundle too. The
+same model with the same options comes from a cache (`greybox.estimation.build.cache_dir`), whose key covers the code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib
+import io
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.estimation.build import cache_dir
+from greybox.files import OutputError, checksum, file_sha256, read_json, to_plain, write_atomic, write_json
+from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.linear import LinearModel
+from greybox.residual.files import model_to_dict
+from mpc_export.c_code import write_c
+from mpc_export.c_kernels import gp_kernels
+from mpc_export.c_model import CModel, check_name
+from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.golden import Golden, golden_vectors
+from mpc_export.manifest import SCHEMA, manifest_of
+from mpc_export.points import with_points
+from mpc_export.readme import licences, readme
+from mpc_export.tape import write_tape
+
+TARGETS: Mapping[str, str] = {
+    "c": "",
+    "casadi": "",
+    "acados": "mpc_export.acados",
+    "do-mpc": "mpc_export.do_mpc",
+    "fmu": "mpc_export.fmu",
+}
+"""Target -> the module whose `write_target(functions, folder, name)` adds it to a bundle ("" for what is written here)."""
+DEFAULT_TARGETS = ("c", "casadi")
+GOLDEN_POINTS = 12
+KEPT = 16
+"""Bundles that the cache keeps."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExportBundle:
+    """A bundle on disk. `functions` is None for one that was loaded or came from the cache."""
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    functions: ModelFunctions | None = None
+    cached: bool = False
+
+    @property
+    def name(self) -> str:
+        """Prefix of everything in C."""
+        return str(self.manifest["name"])
+
+    @staticmethod
+    def load(folder: str | os.PathLike[str]) -> ExportBundle:
+        """Read a bundle and check that its files are whole. Raises `FileFormatError`."""
+        where = Path(folder)
+        manifest = read_json(where / "manifest.json", schema=SCHEMA)
+        if manifest.get("checksum") != checksum({k: v for k, v in manifest.items() if k != "checksum"}):
+            raise FileFormatError("the checksum does not fit", where=str(where / "manifest.json"), fix="export again")
+        for name, digest in manifest["files"].items():
+            path = where / name
+            if not path.is_file() or file_sha256(path) != digest:
+                raise FileFormatError("missing or changed", where=str(path), fix="export again")
+        return ExportBundle(folder=where, manifest=manifest)
+
+    def rebuild(self, names: Iterable[str] | None = None) -> dict[str, Any]:
+        """The CasADi functions by name, from the bundle's own numbers."""
+        from mpc_export.rebuild.rebuild import load
+
+        return load(self.folder / "python", names)
+
+
+def write_bundle(
+    model: IdentifiedModel | LinearModel,
+    folder: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    dt: float | None = None,
+    targets: Iterable[str] = DEFAULT_TARGETS,
+    real: Literal["double", "float"] = "double",
+    with_: Iterable[str] = (),
+    runtime_parameters: Iterable[str] = (),
+    points: int | None = None,
+    use_cache: bool = True,
+) -> ExportBundle:
+    """Export a fitted model to `folder`; the arguments are those of `model_functions` and of the command line.
+
+    `name` is the prefix in C (default: the folder's name), `points` projects the learned part on that many support
+    points first. Raises `ModelError` (a name that is no C identifier, see `model_functions`), `UnknownNameError` (a
+    target), `OutputError` (a folder that is not a bundle, or cannot be written).
+    """
+    place = Path(folder)
+    name = check_name(place.resolve().name if name is None else name)
+    chosen, groups, runtime = tuple(dict.fromkeys(targets)), tuple(sorted(set(with_))), tuple(runtime_parameters)
+    for target in chosen:
+        if target not in TARGETS:
+            raise UnknownNameError("export target", target, TARGETS)
+    check_place(place)
+    options = [name, dt, sorted(chosen), real, groups, runtime, points]
+    key = _cache_key(model, options) if use_cache else None
+    if key is not None and (found := _from_cache(key, place)) is not None:
+        return found
+    reduction: dict[str, Any] | None = None
+    if points is not None:
+        model, reduction = with_points(model, points)
+    functions = model_functions(model, dt=dt, with_=groups, runtime_parameters=runtime)
+    golden = golden_vectors(functions, GOLDEN_POINTS)
+    with _beside(place) as part:
+        entry = _write_parts(functions, golden, part, name=name, targets=chosen, real=real)
+        manifest = manifest_of(functions, name=name, real=real, groups=groups, golden=golden, **entry)
+        manifest["reduction"] = reduction
+        write_atomic(part / "README.md", readme(manifest))
+        manifest["files"] = {
+            p.relative_to(part).as_posix(): file_sha256(p) for p in sorted(part.rglob("*")) if p.is_file()
+        }
+        manifest = to_plain(manifest)
+        write_json(part / "manifest.json", {**manifest, "checksum": checksum(manifest)})
+        if key is not None:
+            _into_cache(key, part)
+        _move(part, place)
+    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), functions=functions)
+
+
+def _write_parts(
+    functions: ModelFunctions, golden: list[Golden], part: Path, *, name: str, targets: tuple[str, ...],
+    real: Literal["double", "float"],
+) -> dict[str, Any]:  # fmt: skip
+    """Writes everything but the manifest and the README. Returns what the manifest says of it."""
+    entry: dict[str, Any] = {"c": None, "targets": {}, "abi": None}
+    tape, arrays = write_tape(functions.functions.values())
+    write_atomic(part / "python" / "functions.json", json.dumps(tape, separators=(",", ":")) + "\n")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_atomic(part / "python" / "functions.npz", buffer.getvalue())
+    interpreter = resources.files("mpc_export.rebuild").joinpath("rebuild.py").read_text(encoding="utf-8")
+    write_atomic(part / "python" / "rebuild.py", interpreter)
+    for g in golden:
+        write_atomic(part / "golden" / f"{g.name}.csv", g.csv())
+    for file, text in licences("c" in targets).items():
+        write_atomic(part / "LICENSES" / file, text)
+    if "c" in targets:
+        kernels = _kernels(functions)
+        source = write_c(list(functions.functions.values()), part / "c", prefix=name, real=real, kernels=kernels)
+        wrapper = CModel(functions, source, library_versions()["greybox"], golden)
+        wrapper.write(part / "c")
+        entry |= {"c": (source, wrapper.work), "abi": wrapper.abi}
+    if "casadi" in targets:
+        (part / "casadi").mkdir()
+        for n, f in functions.functions.items():
+            f.save(str(part / "casadi" / f"{n}.casadi"))
+    for target in targets:
+        if TARGETS[target]:
+            try:
+                module = importlib.import_module(TARGETS[target])
+            except ModuleNotFoundError as error:
+                raise ModelError(
+                    f"the target {target} needs {error.name}", fix=f"install it, or leave {target} out"
+                ) from None
+            entry["targets"][target] = module.write_target(functions, part, name)
+    return entry
+
+
+def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
+    """Kernels of our own for the functions of the learned part."""
+    if functions.posterior is None:
+        return ()
+    names = functions.parameters.names
+    at = next((i for i, n in enumerate(names) if n.startswith("gp.weights")), None)
+    learned = {
+        n: tuple(f.name_out()) for n, f in functions.functions.items() if n.startswith("gp_") and "features" not in n
+    }
+    return gp_kernels(functions.posterior, learned, weights_at=at)
+
+
+# ------------------------------------------------------------------------------------------------ places
+
+
+def is_bundle(folder: Path) -> bool:
+    """Whether a folder holds a manifest of ours."""
+    try:
+        return bool(json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("schema") == SCHEMA)
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+def check_place(place: Path) -> None:
+    """Raises `OutputError` unless `place` is free, an empty folder, or a bundle."""
+    if not os.path.lexists(place):
+        return
+    if place.is_symlink() or not place.is_dir():
+        raise OutputError("not a folder", where=str(place), fix="choose another --out")
+    if not is_bundle(place) and any(place.iterdir()):
+        raise OutputError("the folder holds something else than a bundle", where=str(place), fix="choose another --out")
+
+
+@contextlib.contextmanager
+def _beside(place: Path) -> Any:
+    """A temporary folder on the same file system, gone afterwards."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part"))
+    except OSError as error:
+        raise OutputError(f"cannot write: {error.strerror}", where=str(place), fix="choose another --out") from None
+    try:
+        (part / "bundle").mkdir()
+        yield part / "bundle"
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _move(part: Path, place: Path) -> None:
+    """Put a finished bundle in its place; the old one is there until the new one is."""
+    check_place(place)
+    old = part.parent / "old"
+    try:
+        if place.exists():
+            os.rename(place, old)
+        os.rename(part, place)
+    except OSError as error:
+        if old.exists() and not place.exists():
+            os.rename(old, place)
+        raise OutputError(f"cannot write: {error.strerror}", where=str(place), fix="choose another --out") from None
+
+
+# ------------------------------------------------------------------------------------------------ cache
+
+
+@functools.cache
+def _code_digest() -> str:
+    """SHA-256 of the code that shapes a bundle: another version of it must not find this one's bundles."""
+    digest = hashlib.sha256()
+    for package in ("greybox", "mpc_export"):
+        root = Path(str(resources.files(package)))
+        for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".c", ".h")):
+            digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str | None:
+    """None for a model that has no file form (parts of the user's own)."""
+    try:
+        body = model.to_dict() if isinstance(model, LinearModel) else model_to_dict(model)
+    except ModelError:
+        return None
+    body = {k: v for k, v in body.items() if k != "versions"}
+    return checksum({"model": body, "options": options, "code": _code_digest(), "versions": library_versions()})
+
+
+def _from_cache(key: str, place: Path) -> ExportBundle | None:
+    kept = cache_dir().parent / "export" / key
+    if not is_bundle(kept):
+        return None
+    try:
+        ExportBundle.load(kept)
+    except FileFormatError:
+        shutil.rmtree(kept, ignore_errors=True)
+        return None
+    with _beside(place) as part:
+        shutil.copytree(kept, part, dirs_exist_ok=True)
+        _move(part, place)
+    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), cached=True)
+
+
+def _into_cache(key: str, part: Path) -> None:
+    """A cache that cannot be written is no reason to fail."""
+    store = cache_dir().parent / "export"
+    with contextlib.suppress(OSError):
+        store.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=store, prefix=".part-") as folder:
+            shutil.copytree(part, Path(folder) / "bundle")
+            with contextlib.suppress(OSError):
+                os.rename(Path(folder) / "bundle", store / key)
+        entries = sorted((p for p in store.iterdir() if len(p.name) == 64), key=lambda p: p.stat().st_mtime)
+        for old in entries[:-KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def describe(bundle: ExportBundle) -> str:
+    """A few lines for the terminal."""
+    m = bundle.manifest
+    sizes = m["sizes"]
+    lines = [
+        f"{bundle.folder}: {m['model']['name']}, {m['sample_time']:g} s a sample"
+        + (" (from the cache)" if bundle.cached else ""),
+        f"  states {sizes['n_x']} (error states {sizes['n_d']}), commands {sizes['n_u']}, outputs {sizes['n_y']}, run-time "
+        f"parameters {sizes['n_p']}",
+        f"  functions: {', '.join(f['name'] for f in m['functions'])}",
+    ]
+    if m["c"]:
+        lines.append(
+            f"  C: {m['c']['real']}, {m['c']['source_bytes'] / 1e3:.0f} kB of source, work {m['c']['work_bytes']} bytes; "
+            f"python -m mpc_export.verify {bundle.folder}"
+        )
+    if m["reduction"]:
+        cost = m["reduction"]
+        worst = max(cost["mean_error"], default=0.0)
+        lines.append(
+            f"  {cost['points']} of {cost['of']} support points: the learned mean moved by at most {worst:.2g} of its spread"
+        )
+    lines += [f"  note: {n}" for n in m["notes"]]
+    return "\n".join(lines)

@@ -1,0 +1,106 @@
+"""Golden vectors: points of flight, on the edge of the training domain and far outside, with the results of CasADi.
+
+Every function of a bundle gets the same points; C, the rebuild and any consumer must give the same results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.symbolic import FloatArray
+from mpc_export.functions import ModelFunctions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Golden:
+    """Arguments and results of one function: name -> (points, numbers), column by column within a matrix."""
+
+    name: str
+    arguments: Mapping[str, FloatArray]
+    results: Mapping[str, FloatArray]
+
+    def csv(self) -> str:
+        """One row per point; columns `in.x.0`, ..., `out.x_next.0`, ..."""
+        parts = [
+            (f"{kind}.{n}", v) for kind, d in (("in", self.arguments), ("out", self.results)) for n, v in d.items()
+        ]
+        head = [f"{n}.{i}" for n, v in parts for i in range(v.shape[1])]
+        rows = np.hstack([v for _, v in parts])
+        return "\n".join([",".join(head), *(",".join(map(repr, r)) for r in rows.tolist())]) + "\n"
+
+
+def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> list[Golden]:
+    """Every function at `points` points: the reference, then random ones, ever farther out."""
+    rng = np.random.default_rng(seed)
+    spreads = [0.0, *np.resize([0.3, 1.0, 1.0, 1.0, 3.0, 10.0], max(points - 1, 0))]
+    places = [_point(functions, rng, float(s)) for s in spreads[:points]]
+    out = []
+    for name, function in functions.functions.items():
+        given = [_arguments(functions, function, place) for place in places]
+        got = [[v.full().ravel(order="F") for v in function.call([ca.DM(v) for v in row.values()])] for row in given]
+        names = function.name_in()
+        out.append(
+            Golden(
+                name=name,
+                arguments={n: np.array([np.ravel(row[n], order="F") for row in given]) for n in names},
+                results={n: np.array([row[i] for row in got]) for i, n in enumerate(function.name_out())},
+            )
+        )
+    return out
+
+
+def _arguments(functions: ModelFunctions, function: Any, place: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """What this function takes at a place; f and its Jacobian take the model's own states only."""
+    out = {}
+    for i, n in enumerate(function.name_in()):
+        value = place["x" if n in ("x1", "x") else n]
+        rows, columns = function.size1_in(i), function.size2_in(i)
+        out[n] = value[:rows] if columns == 1 else value.reshape(rows, columns)
+    return out
+
+
+def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -> dict[str, FloatArray]:
+    """One value for every argument that a function may take; `spread` 1 is typical flight."""
+    n = functions.sizes
+    scale, command, _ = functions.scales
+    boxplus = functions.functions["boxplus"]
+    move = rng.standard_normal(n["n_d"])
+    # Raw and error states differ in the attitude alone, whose typical error is a third of a radian.
+    typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
+    size = np.array([0.3 if "attitude" in s else typical[s.removeprefix("d_")] for s in functions.error_states.names])
+    inside = np.array([s.startswith(("rotor", "history")) for s in functions.states.names])
+    x = np.asarray(boxplus(functions.reference[0], 0.3 * spread * size * move)).ravel()
+    level = np.clip(0.5 + 0.3 * spread * (rng.random(x.size) - 0.5), 0.02, 0.98) * scale
+    x = np.where(inside & (spread > 0), level, x)
+    lower, upper = (np.nan_to_num(v, posinf=1.0, neginf=-1.0) for v in functions.bounds)
+    share = np.clip(0.5 + min(spread, 1.0) * (rng.random(n["n_u"]) - 0.5), 0.0, 1.0)
+    u = functions.reference[1] if spread == 0 else lower + share * (upper - lower)
+    p = functions.parameter_values * (1 + 0.02 * min(spread, 1.0) * rng.standard_normal(n["n_p"]))
+    z = np.zeros(0)
+    if functions.posterior is not None:
+        center, width = functions.posterior.input_mean, functions.posterior.input_scale
+        z = center + spread * width * rng.standard_normal(n["n_z"])
+    y = np.asarray(functions.functions["h"](x, u, p)).ravel()
+    deviation = np.sqrt(np.maximum(np.diag(functions.noise.covariance), 1e-12 * size**2))
+    mix = np.eye(n["n_d"]) + 0.2 * rng.standard_normal((n["n_d"], n["n_d"])) / np.sqrt(n["n_d"])
+    root = deviation[:, None] * mix * (1 + spread)
+    theta = np.sqrt(np.maximum(np.diag(functions.covariance), 1e-30))
+    target = rng.standard_normal(n["n_r"]) * min(spread, 1.0)
+    return {
+        "x": x, "u": u, "p": p, "z": z,
+        "x2": np.asarray(boxplus(x, 0.1 * size * rng.standard_normal(n["n_d"]))).ravel(),
+        "d": 0.1 * size * move,
+        "y": y + 0.05 * np.maximum(np.abs(y), 0.1) * rng.standard_normal(n["n_y"]),
+        "there": (rng.random(n["n_e"]) < (1.0 if spread == 0 else 0.8)).astype(float),
+        "S": root @ root.T,
+        "K": 0.1 * command[:, None] / size[None, :] * rng.standard_normal((n["n_u"], n["n_d"])),
+        "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
+        "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
+        "lam": rng.standard_normal(n["n_x"]) / scale,
+        "r": target,
+    }  # fmt: skip

@@ -1,0 +1,182 @@
+"""The manifest of a bundle: what a reader, human or machine, must know to call its functions.
+
+Its JSON Schema is greybox/schemas/manifest.json.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.linear import LinearModel
+from greybox.symbolic import Layout
+from mpc_export.c_code import CSource
+from mpc_export.c_model import CODES, scale_of, sizes_of
+from mpc_export.functions import ModelFunctions
+from mpc_export.golden import Golden
+
+SCHEMA = "greybox.bundle/1"
+FRAMES = {
+    "world": "ENU, z up; gravity is (0, 0, -g)",
+    "body": "FLU: x forward, y left, z up; thrust along +z",
+    "attitude": "unit quaternion (w, x, y, z), body to world",
+    "error_state": "q = q_hat * exp(d_attitude/2), p = p_hat + R_hat d_position, v = v_hat + R_hat d_velocity, the rest by "
+    "addition: body axes of the estimate",
+    "matrices": "column by column, all entries",
+}
+TOLERANCE = {"double": 1e-10, "float": 1e-4}
+"""Largest allowed difference between C and CasADi, in units of an output's scale."""
+
+
+def manifest_of(
+    functions: ModelFunctions, *, name: str, real: str, groups: Sequence[str], golden: Sequence[Golden],
+    c: tuple[CSource, Mapping[str, int]] | None, targets: Mapping[str, Any], abi: int | None,
+) -> dict[str, Any]:  # fmt: skip
+    """Plain values of the manifest, without file checksums."""
+    f, model = functions, functions.model
+    frames = FRAMES if "attitude.w" in f.states else {k: FRAMES[k] for k in ("matrices",)}
+    return {
+        "schema": SCHEMA,
+        "name": name,
+        "model": _model(f),
+        "sample_time": f.dt,
+        "identified_sample_time": f.identified_dt,
+        "integrator": _integrator(f),
+        "hold": "zero-order: u is constant from sample to sample",
+        "delay": _delay(f),
+        "frames": dict(frames),
+        "sizes": {**f.sizes, "own_states": f.own_states, "own_error_states": f.own_error_states},
+        "states": _signals(f.states, scale=f.scales[0], reference=f.reference[0]),
+        "error_states": _signals(f.error_states),
+        "inputs": _signals(
+            f.inputs, scale=f.scales[1], reference=f.reference[1], lower=f.bounds[0], upper=f.bounds[1]
+        ),
+        "parameters": _signals(f.parameters, value=f.parameter_values),
+        "outputs": _signals(f.outputs, scale=f.scales[2]),
+        "innovations": _signals(f.innovations, sensor_noise=f.noise.sensor),
+        "features": _signals(f.features),
+        "learned": _signals(f.learned),
+        "targets": _signals(f.targets),
+        "groups": list(groups),
+        "functions": [_function(fn, g) for fn, g in zip(f.functions.values(), golden, strict=True)],
+        "values": {k: float(v) for k, v in sorted(f.sampled.values.items())},
+        "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
+        "noise": {
+            "process": f.noise.process, "gain": f.noise.gain, "innovation": f.noise.innovation,
+            "predicted": f.noise.covariance,
+        },
+        "domain": _domain(f),
+        "c": None if c is None else _c(c[0], c[1], real),
+        "abi": abi,
+        "return_codes": [{"code": i, "name": n, "meaning": why} for i, (n, why) in enumerate(CODES)],
+        "thread_safety": "functions have no state: call them from any number of threads, each with work space of its own",
+        "tolerance": TOLERANCE[real],
+        "targets_written": dict(targets),
+        "notes": _notes(f),
+        "data_hash": model.data_hash if isinstance(model, IdentifiedModel) else "",
+        "versions": library_versions(),
+    }  # fmt: skip
+
+
+def _model(f: ModelFunctions) -> dict[str, Any]:
+    model = f.model
+    if isinstance(model, LinearModel):
+        return {"name": model.name, "kind": "linear", "effects": [], "trained_on": []}
+    kind = "physics" if f.posterior is None else "hybrid"
+    return {"name": model.name, "kind": kind, "effects": list(model.effects), "trained_on": list(model.trained_on)}
+
+
+def _integrator(f: ModelFunctions) -> str:
+    if f.discrete:
+        return "none: the model is a map from sample to sample"
+    learned = "; the learned push is evaluated at the sample and held over it" if f.posterior is not None else ""
+    return (
+        "rotor lag exactly (exponential), rigid body by one classical Runge-Kutta 4 step per sample, quaternion brought "
+        f"back to unit length{learned}"
+    )
+
+
+def _delay(f: ModelFunctions) -> dict[str, Any]:
+    """How a delay of d seconds is in f_d, and that f has none."""
+    seconds = {k: v for k, v in f.sampled.values.items() if k.endswith("delay.d")}
+    return {
+        "history": {k: int(v) for k, v in f.delay.items()},
+        "parameters": {k: float(v) for k, v in seconds.items()},
+        "form": "d = (m + s) dt with whole m and 0 <= s < 1: over the first s dt of a step the rotors see the command of "
+        "m + 1 samples ago, then that of m samples ago; exact for a held command",
+        "f_excludes_delay": True,
+    }
+
+
+def _signals(layout: Layout, **columns: Any) -> list[dict[str, Any]]:
+    out = []
+    for i, s in enumerate(layout):
+        row: dict[str, Any] = {"index": i, "name": s.name, "unit": s.unit, "meaning": s.meaning}
+        for key, values in columns.items():
+            value = float(values[i])
+            row[key] = value if math.isfinite(value) else None
+        out.append(row)
+    return out
+
+
+def _function(function: Any, golden: Golden) -> dict[str, Any]:
+    def ports(kind: str) -> list[dict[str, Any]]:
+        count = getattr(function, f"n_{kind}")()
+        names = [getattr(function, f"name_{kind}")(i) for i in range(count)]
+        shapes = [getattr(function, f"size_{kind}")(i) for i in range(count)]
+        return [{"name": n, "rows": r, "columns": c} for n, (r, c) in zip(names, shapes)]
+
+    results = ports("out")
+    for port in results:
+        port["scale"] = scale_of(golden.results[port["name"]])
+    return {"name": function.name(), "arguments": ports("in"), "results": results}
+
+
+def _domain(f: ModelFunctions) -> dict[str, Any]:
+    channels = f.model.domain if isinstance(f.model, IdentifiedModel) else {}
+    out: dict[str, Any] = {"channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()}, "learned": None}
+    if f.posterior is not None:
+        box = f.posterior.domain
+        out["learned"] = {
+            "inputs": list(f.posterior.inputs.names), "lower": box.lower, "upper": box.upper,
+            "distance_quantiles": dict(zip(("50", "95", "99", "100"), box.distance)),
+            "samples": box.samples, "points": f.posterior.points, "method": f.posterior.method,
+            "noise": f.posterior.noise, "variance_factor": list(f.posterior.variance_factor),
+        }  # fmt: skip
+    return out
+
+
+def _c(source: CSource, work: Mapping[str, int], real: str) -> dict[str, Any]:
+    pointer, number, integer = 8, 8 if real == "double" else 4, 8 if source.integer.startswith("long") else 4
+    return {
+        "prefix": source.prefix, "real": real, "integer": source.integer,
+        "source_bytes": source.source.stat().st_size, "kernels": list(source.kernels),
+        "work": dict(work),
+        "work_bytes": pointer * (work["sz_arg"] + work["sz_res"] + 2)
+        + integer * (work["sz_iw"] + 1) + number * (work["sz_w"] + 1),
+        "functions": sizes_of(source),
+    }  # fmt: skip
+
+
+def _notes(f: ModelFunctions) -> list[str]:
+    """What a user must not overlook."""
+    out = []
+    if f.discrete:
+        out.append("the model is discrete: there is no f, only f_d")
+    if f.delay:
+        out.append("f has no delay; f_d has it, as input-history states")
+    if not math.isclose(f.dt, f.identified_dt, rel_tol=1e-9):
+        out.append(
+            f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps its intensity, the sensor "
+            "noise of one sample stays"
+        )
+    window = f.sampled.dynamics.window
+    if window[1]:
+        out.append("identified with commands that run linearly between samples, exported with commands that are held")
+    if f.sampled.exogenous:
+        out.append(f"{', '.join(f.sampled.exogenous)} is a run-time parameter: give its present value in p")
+    if f.sampled.runtime:
+        out.append("Q, K and S are those of the identified values, whatever p says")
+    return out
