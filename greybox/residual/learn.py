@@ -172,26 +172,14 @@ def learn(
         say("noise levels", 0.85)
         hybrid = refit_noise(replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior)), train)
     say("calibration", 0.9)
-    calibration = calibrate_horizons(hybrid, train)
+    calibration = calibrate_horizons(hybrid, train, left_out=result.left_out)
     final = calibration.model
     if not null:
-        calibration = _less_optimistic(calibration, result)
         posterior = posterior.with_spread(calibration.learned)
         final = replace(calibration.model, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
     return Learned(
         model=final, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
         calibration=calibration, seconds=time.perf_counter() - began, training=tuple(reports),
-    )  # fmt: skip
-
-
-def _less_optimistic(calibration: Calibration, result: OpenLoopFit) -> Calibration:
-    """The calibration for errors of flights that the weights were not fitted to: larger by the root of the costs' ratio."""
-    inside = result.cost_after / result.cost_before
-    ratio = float(np.sqrt(max(1.0, (1.0 - result.held_out_gain) / inside)))
-    assert calibration.model.horizon_noise is not None
-    return replace(
-        calibration, model=replace(calibration.model, horizon_noise=ratio * calibration.model.horizon_noise),
-        factors={n: ratio * v for n, v in calibration.factors.items()}, learned=ratio * calibration.learned,
     )  # fmt: skip
 
 

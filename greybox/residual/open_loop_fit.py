@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -116,7 +116,10 @@ class Normal:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenLoopFit:
     """The fitted posterior and how it came about: prior strength per output, cost before and after, share of held-out
-    cost that it saves, `status` ("converged", "iteration limit" or "null": nothing was worth learning)."""
+    cost that it saves, `status` ("converged", "iteration limit" or "null": nothing was worth learning).
+
+    `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that have not seen its kind of
+    flight, over that with the weights of all flights (at least 1). Empty for null."""
 
     posterior: GPPosterior
     strengths: Mapping[str, float]
@@ -125,6 +128,7 @@ class OpenLoopFit:
     held_out_gain: float
     iterations: int
     status: str
+    left_out: Mapping[tuple[str, int, str], float] = field(default_factory=dict)
 
 
 class Basis:
@@ -170,7 +174,8 @@ class Paths:
         self.extra = np.zeros(0)
         self.chosen = np.array(sorted(set(horizons))) - 1
         labels = getattr(model.physics, "channel_groups", None) or model.dynamics.innovations.names
-        self.groups = [[i for i, n in enumerate(labels) if n == g] for g in dict.fromkeys(labels)]
+        self.labels = list(dict.fromkeys(labels))
+        self.groups = [[i for i, n in enumerate(labels) if n == g] for g in self.labels]
         records = [make_record(self.engine, s) for f in data for s in f.segments]
         self.records = [r for r in records if r.n > max(horizons) + stride]
         if not self.records:
@@ -252,15 +257,18 @@ class Paths:
         except FitError:
             return np.inf
 
-    def normal(self, record: Record, bases: Sequence[Basis], blocks: int = 1) -> list[list[Normal]]:
-        """Per basis the cost and normal equations of one record, in `blocks` parts along its time."""
+    def normal(
+        self, record: Record, bases: Sequence[Basis], blocks: int = 1, *, by_horizon: bool = False
+    ) -> list[list[Normal]]:
+        """Per basis the cost and normal equations of one record, in `blocks` parts along its time. With `by_horizon` every
+        channel group at every horizon is a group of its own, horizon by horizon."""
         p, rows, states, e, mask = self.errors(record)
         width = self.engine.past + 1 + self.engine.future
         carried = self.filtered(record, p, states, rows, bases)
         x = states[rows]
-        c = len(self.groups)
-        gradient = [np.zeros((blocks, c, b.size)) for b in bases]
-        hessian = [np.zeros((blocks, c, b.size, b.size)) for b in bases]
+        c, layers = len(self.groups), self.chosen.size if by_horizon else 1
+        gradient = [np.zeros((blocks, layers * c, b.size)) for b in bases]
+        hessian = [np.zeros((blocks, layers * c, b.size, b.size)) for b in bases]
         part = np.arange(rows.size) * blocks // rows.size
         for h in range(int(self.chosen[-1]) + 1):
             at = rows + h
@@ -278,12 +286,14 @@ class Paths:
                     for b, (g, members) in itertools.product(range(blocks), enumerate(self.groups)):
                         flat = slope[part == b][:, members].reshape(-1, basis.size)
                         own = weight[part == b][:, members]
-                        gradient[k][b, g] += flat.T @ (own * e[part == b, i][:, members]).ravel()
-                        hessian[k][b, g] += flat.T @ (flat * own.reshape(-1, 1))
+                        row = g + c * i * by_horizon
+                        gradient[k][b, row] += flat.T @ (own * e[part == b, i][:, members]).ravel()
+                        hessian[k][b, row] += flat.T @ (flat * own.reshape(-1, 1))
                 carried[k] = step.end_sensitivity @ carried[k] + self.push[:, basis.rows] @ spread
             x = step.ends
-        weighed = (e * e * mask * self.scales).sum(axis=1)
-        cost = np.column_stack([weighed[:, members].sum(axis=1) for members in self.groups])
+        weighed = e * e * mask * self.scales
+        weighed = weighed if by_horizon else weighed.sum(axis=1, keepdims=True)
+        cost = np.stack([weighed[:, :, members].sum(axis=2) for members in self.groups], axis=2).reshape(rows.size, -1)
         return [
             [
                 Normal(cost=cost[part == b].sum(axis=0), gradient=gradient[k][b], hessian=_symmetric(hessian[k][b]))
@@ -354,27 +364,32 @@ def fit_open_loop(
         best = max(gains, key=lambda label: gains[label])
         chosen, gain = found[best]
         factor = _dispersion(parts[best], _folds(owners), bases[best], chosen)
-        fitted = _iterate(
+        fitted, theta = _iterate(
             paths, bases[best], parts[best], chosen, factor, gain, iterations,
-            lambda text, s: say(text, 0.6 + 0.4 * s),
+            lambda text, s: say(text, 0.6 + 0.3 * s),
         )  # fmt: skip
+        if fitted.status != "null":
+            say("errors of kinds of flight left out", 0.9)
+            del parts
+            fitted = replace(fitted, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
     return fitted, best, gains
 
 
 def _iterate(
     paths: Paths, basis: Basis, parts: list[Normal], chosen: FloatArray, factor: FloatArray, gain: float,
     iterations: int, say: Progress,
-) -> OpenLoopFit:  # fmt: skip
-    """Gauss-Newton with step control from zero weights."""
+) -> tuple[OpenLoopFit, FloatArray]:  # fmt: skip
+    """Gauss-Newton with step control from zero weights: (fit, whitened weights (P,))."""
     before = value = float(_total(parts, "cost"))
     strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
     on = np.isfinite(np.repeat(chosen, basis.m))
     prior = np.repeat(chosen, basis.m)[on]
     if not on.any():
-        return OpenLoopFit(
+        null = OpenLoopFit(
             posterior=_silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
             held_out_gain=0.0, iterations=0, status="null",
         )  # fmt: skip
+        return null, np.zeros(basis.size)
     say("compiling the weighted model", 0.0)
     paths.engine = engine_for(WeightedHybrid(inner=paths.model.dynamics, posterior=basis.posterior), ())
     theta = np.zeros(basis.size)
@@ -403,10 +418,38 @@ def _iterate(
             parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
     paths.extra = basis.weights(theta)
     hessian = _total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
-    return OpenLoopFit(
+    fitted = OpenLoopFit(
         posterior=_posterior(basis, theta, hessian, chosen, factor), strengths=strengths, cost_before=before,
         cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
     )  # fmt: skip
+    return fitted, theta
+
+
+def _left_out(
+    paths: Paths, basis: Basis, theta: FloatArray, chosen: FloatArray, owners: Sequence[str], blocks: int
+) -> dict[tuple[str, int, str], float]:
+    """As `OpenLoopFit.left_out`, in the quadratic model of the cost around the fitted weights."""
+    parts = [n for r in paths.records for n in paths.normal(r, [basis], blocks, by_horizon=True)[0]]
+    flights = [r.flight for r in paths.records for _ in range(blocks)]
+    on = np.isfinite(np.repeat(chosen, basis.m))
+    at, prior = np.ix_(on, on), np.repeat(chosen, basis.m)[on]
+    whole_h, whole_g = _total(parts, "hessian")[at] + np.diag(prior), _total(parts, "gradient")[on] + prior * theta[on]
+    seen: dict[str, FloatArray] = {}
+    unseen: dict[str, FloatArray] = {}
+    for fold in _folds(owners):
+        own = [parts[i] for i in fold]
+        left_h, left_g = whole_h - _total(own, "hessian")[at], whole_g - _total(own, "gradient")[on]
+        d = -np.linalg.solve(left_h, left_g)
+        for i in fold:
+            g, h = parts[i].gradient[:, on], parts[i].hessian[:, on][:, :, on]
+            seen[flights[i]] = seen.get(flights[i], 0.0) + parts[i].cost
+            unseen[flights[i]] = unseen.get(flights[i], 0.0) + parts[i].cost + 2 * g @ d + (h @ d) @ d
+    names = list(itertools.product((paths.chosen + 1).tolist(), paths.labels))
+    return {
+        (flight, h, label): max(1.0, float(after / before)) if before > 0 else 1.0
+        for flight, values in unseen.items()
+        for (h, label), after, before in zip(names, values, seen[flight], strict=True)
+    }
 
 
 def _total(parts: Sequence[Normal], what: str) -> FloatArray:

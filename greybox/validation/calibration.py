@@ -59,15 +59,29 @@ class Calibration:
 class _Errors:
     """Errors (N, d) of one channel block with the parts of their covariance: base (N, d, d), by group (G, N, d, d)."""
 
+    h: int
+    label: str
     e: FloatArray
     base: FloatArray
     parts: FloatArray
 
+    def scaled(self, flight: str, squares: Mapping[tuple[str, int, str], float]) -> _Errors:
+        """With the errors as large as they would be, had the flight been left out."""
+        return replace(self, e=np.sqrt(squares.get((flight, self.h, self.label), 1.0)) * self.e)
+
 
 def calibrate_horizons(
-    model: IdentifiedModel, data: Dataset, *, horizons: Sequence[int] = HORIZONS, spacing: float = 0.25
+    model: IdentifiedModel,
+    data: Dataset,
+    *,
+    horizons: Sequence[int] = HORIZONS,
+    spacing: float = 0.25,
+    left_out: Mapping[tuple[str, int, str], float] | None = None,
 ) -> Calibration:
     """Fit the factors on all flights of `data`, from origins `spacing` seconds apart.
+
+    `left_out`: (flight, horizon, channel group) -> factor on the squared errors, for models that were fitted more closely to
+    these flights than they will fit others.
 
     Every channel block of the innovation (position, attitude, rate, ...) and every horizon counts the same. The
     accelerometer, whose errors are its own noise, is left out where anything else is measured. Raises `DataError` where
@@ -84,7 +98,7 @@ def calibrate_horizons(
             filtered = work.runner.run(segment)
             for stretch, part in zip(own, np.array_split(origins, pieces), strict=True):
                 if part.size:
-                    stretch += work.errors(filtered, part, horizons)
+                    stretch += [f.scaled(flight.name, left_out or {}) for f in work.errors(filtered, part, horizons)]
         flights += [stretch for stretch in own if stretch]
     found = [f for flight in flights for f in flight]
     if not found:
@@ -148,11 +162,11 @@ class _Parts:
             at = [r[h - 1] for r in runs]
             e = _errors(self.runner, filtered, at[0].states, origins + h)
             seen = filtered.record.mask[origins + h] != 0
-            for rows in self.blocks:
+            for label, rows in self.blocks.items():
                 keep = seen[:, rows].all(axis=1)
                 if keep.any():
                     c = np.array([a.innovation_covariance[keep][:, rows][:, :, rows] for a in at])
-                    found.append(_Errors(e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
+                    found.append(_Errors(h=h, label=label, e=e[keep][:, rows], base=c[0], parts=c[2:] - c[1]))
         return found
 
 
@@ -164,13 +178,13 @@ def _solve(cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, fl
     return np.exp(best.x), float(best.fun)
 
 
-def _blocks(model: IdentifiedModel) -> list[list[int]]:
+def _blocks(model: IdentifiedModel) -> dict[str, list[int]]:
     """Places of the innovation components that are judged together: those of one sensor (one channel, where unknown)."""
     names = getattr(model.physics, "channel_groups", None) or model.dynamics.innovations.names
     blocks = {n: [i for i, m in enumerate(names) if m == n] for n in dict.fromkeys(names)}
     if len(blocks) > 1:
         blocks.pop("specific_force", None)
-    return list(blocks.values())
+    return blocks
 
 
 def _errors(runner: Filter, filtered: Filtered, states: FloatArray, rows: npt.NDArray[np.int_]) -> FloatArray:

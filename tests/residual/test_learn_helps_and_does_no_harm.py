@@ -18,6 +18,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.report.learn_report import learn_report
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
+from greybox.validation.calibration import calibrate_horizons
 from tests.residual.hybrid_cases import pendulum_model, swings
 
 pytest.importorskip("gpytorch")
@@ -54,6 +55,23 @@ def test_unseen_motions_are_predicted_better():
     assert np.all(after < before)
     assert np.all(after[1:] < 0.9 * before[1:])
     assert np.all(after[2] < 0.6 * before[2])
+
+
+def test_uncertainty_counts_errors_of_flights_as_if_they_had_not_been_seen():
+    result = learned(HIDDEN)
+    left_out, train = result.fit.left_out, swings(3, 1, hidden=HIDDEN, period=4.0)
+    assert {flight for flight, _, _ in left_out} == set(train.names)
+    assert {50, 5} < {h for _, h, _ in left_out}
+    assert min(left_out.values()) >= 1.0
+    assert max(left_out.values()) > 1.01
+    model = replace(result.model, horizon_noise=None)
+    plain, larger = (
+        calibrate_horizons(model, train, horizons=HORIZONS, left_out=told)
+        for told in (None, dict.fromkeys(left_out, 4.0))
+    )
+    assert larger.model.horizon_noise is not None
+    assert plain.model.horizon_noise is not None
+    assert np.all(larger.model.horizon_noise > 1.2 * plain.model.horizon_noise)
 
 
 def test_clean_flights_do_no_harm():
