@@ -35,6 +35,8 @@ STRONG = 60.0
 """Gain above which an axis counts as deficient although no law was found."""
 SILENT = 12.0
 """By how much the logarithm of a level falls when its state is taken away."""
+LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
+"""By how much the logarithm of the white noise is tried to rise in its place."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,7 +104,9 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
     )  # fmt: skip
     names = wanted_features(result.model.dynamics)
     seen = discrepancy(result.model, data, names)
-    gains = axis_gains(result)
+    # Physics is held here and was free there: its parameters count once, on both sides.
+    gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
+    gains = axis_gains(result, gain)
     vehicle = found.model.physics.vehicle
     axes = tuple(
         _law(
@@ -111,24 +115,31 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
         )
         for j, channel in enumerate(seen.outputs)
     )  # fmt: skip
-    # Physics is held here and was free there: its parameters count once, on both sides.
-    gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     return Promoted(fit=result, gain=gain, axes=axes)
 
 
-def axis_gains(result: Fit) -> dict[str, float]:
-    """Axis -> how much BIC loses when its disturbance state is taken away and all else stays as it is."""
+def axis_gains(result: Fit, total: float) -> dict[str, float]:
+    """Axis -> how much BIC loses when its disturbance state is taken away and its white noise takes over what it can.
+
+    All else stays as it is, which overstates the loss; it is never more than the `total` of all states.
+    """
     problem, theta = result.problem, result.theta
     price = float(np.log(max(result.n_samples, 1)))
+    place = {u.name: i for i, u in enumerate(problem.unknowns)}
     out: dict[str, float] = {}
-    for i, u in enumerate(problem.unknowns):
-        axis = u.name.removeprefix("noise.process.disturbance.")
-        if axis == u.name:
+    for name, i in place.items():
+        axis = name.removeprefix("noise.process.disturbance.")
+        if axis == name:
             continue
-        still = theta.copy()
-        still[i] = max(problem.lower[i], theta[i] - SILENT)
-        value = problem.evaluate(still, 0)
-        out[axis] = 2 * (value.likelihood + result.loglik) - price if value.valid else 0.0
+        white = place[f"noise.process.{axis}"]
+        best = np.inf
+        for louder in LOUDER:
+            still = theta.copy()
+            still[i] = max(problem.lower[i], theta[i] - SILENT)
+            still[white] = min(max(theta[white], theta[i]) + louder, problem.upper[white])
+            value = problem.evaluate(still, 0)
+            best = min(best, value.likelihood if value.valid else np.inf)
+        out[axis] = min(2 * (best + result.loglik) - price, max(total, 0.0)) if np.isfinite(best) else 0.0
     return out
 
 
