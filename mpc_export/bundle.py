@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import importlib
 import io
 import json
 import os
@@ -46,15 +45,10 @@ from mpc_export.manifest import SCHEMA, manifest_of
 from mpc_export.points import with_points
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
+from mpc_export.targets import EXAMPLES, NEEDS, write_target
 
-TARGETS: Mapping[str, str] = {
-    "c": "",
-    "casadi": "",
-    "acados": "mpc_export.acados",
-    "do-mpc": "mpc_export.do_mpc",
-    "fmu": "mpc_export.fmu",
-}
-"""Target -> the module whose `write_target(functions, folder, name)` adds it to a bundle ("" for what is written here)."""
+TARGETS = ("c", "casadi", *EXAMPLES)
+"""Those that `mpc_export.targets` adds come after the two that are written here."""
 DEFAULT_TARGETS = ("c", "casadi")
 GOLDEN_POINTS = 12
 KEPT = 16
@@ -120,6 +114,7 @@ def write_bundle(
     for target in chosen:
         if target not in TARGETS:
             raise UnknownNameError("export target", target, TARGETS)
+    groups = tuple(sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))}))
     check_place(place)
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
     key = _cache_key(model, options) if use_cache else None
@@ -161,7 +156,7 @@ def _write_parts(
     write_atomic(part / "python" / "rebuild.py", interpreter)
     for g in golden:
         write_atomic(part / "golden" / f"{g.name}.csv", g.csv())
-    for file, text in licences("c" in targets).items():
+    for file, text in licences("c" in targets or "fmu" in targets).items():
         write_atomic(part / "LICENSES" / file, text)
     if "c" in targets:
         kernels = _kernels(functions)
@@ -174,14 +169,8 @@ def _write_parts(
         for n, f in functions.functions.items():
             f.save(str(part / "casadi" / f"{n}.casadi"))
     for target in targets:
-        if TARGETS[target]:
-            try:
-                module = importlib.import_module(TARGETS[target])
-            except ModuleNotFoundError as error:
-                raise ModelError(
-                    f"the target {target} needs {error.name}", fix=f"install it, or leave {target} out"
-                ) from None
-            entry["targets"][target] = module.write_target(functions, part, name)
+        if target in EXAMPLES:
+            entry["targets"][target] = write_target(target, functions, part, name)
     return entry
 
 

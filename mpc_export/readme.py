@@ -55,7 +55,10 @@ def _copyright() -> str:
 def licences(with_c: bool) -> dict[str, str]:
     """File name -> text."""
     head, body = MIT.split("\n\n", 1)
-    own = f"The wrapper, the self-test, the kernels of the learned part and rebuild.py come from greybox:\n\n{head}\n\n"
+    own = (
+        "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and examples come from greybox:\n\n"
+        f"{head}\n\n"
+    )
     out = {"greybox-MIT.txt": f"{own}{_copyright()}\n\n{body}"}
     if with_c:
         out["CasADi-MIT-0.txt"] = CASADI_NOTICE
@@ -86,8 +89,17 @@ def readme(manifest: Mapping[str, Any]) -> str:
         "`casadi/*.casadi` are the same functions for the CasADi version that wrote them only. `golden/*.csv` hold "
         "arguments and results of every function. `manifest.json` says all of this, and the noise of the identified filter, "
         "to programs.",
-        "", "## Order", "",
+        "",
     ]  # fmt: skip
+    for target, said in m["targets_written"].items():
+        lines += [f"With {target}: `python {said['example']} --help`.", ""]
+        if "f_expl_difference" in said:
+            worst = max(said["f_expl_difference"].items(), key=lambda pair: pair[1])
+            lines += [
+                f"One Runge-Kutta step of f_expl is up to {worst[1]:.1g} of a state's size ({worst[0]}) away from f_d when "
+                "commands change by a tenth of their range: use discrete dynamics.", "",
+            ]  # fmt: skip
+    lines += ["## Order", ""]
     for letter, title, columns in (
         ("states", "States x", ("scale", "reference")),
         ("error_states", "Error states (rows and columns of A, B, S, K, P)", ()),
