@@ -18,7 +18,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
-from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.gain import Riccati, linearisation_at, lost_of, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
@@ -31,7 +31,9 @@ STEP = 1e-6
 FURTHER = (0.5, 1.0, 2.0, 3.0)
 """Sizes that are tried where nothing is felt of a small difference."""
 FELT = 0.005
-"""Share of the samples that a further step must reach."""
+"""Share of the samples that a step must reach."""
+TRACE = 1e-3
+"""Part of the largest change below which a sample only remembers one that was reached."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,6 +133,7 @@ class _Runner:
         elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
         self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
         self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
+        self.lost = lost_of(self.records, large, self.reference, self.window, small.dt)
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
@@ -156,7 +159,7 @@ class _Runner:
     def riccati(self, p: FloatArray) -> Riccati:
         """Stationary filter at the parameters p."""
         values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
-        return stationary(values, self.q, self.r, self.weak)
+        return stationary(values, self.q, self.r, self.weak, lost=self.lost)
 
     def run(self, i: int, p: FloatArray, riccati: Riccati) -> _Column:
         """Innovations of record i and their covariances."""
@@ -178,8 +181,8 @@ class _Runner:
             h = sign * min(size * d.scale, (d.upper - null) if sign > 0 else (null - d.lower))
             found = self._moved(d.name, null + h, h, flight)
             there = [c for c in found if c is not None]
-            felt = sum(int(c.innovations.any(axis=1).sum()) for c in there)
-            if felt > (0 if size == STEP else FELT * sum(len(c.innovations) for c in there)):
+            change = np.concatenate([np.abs(c.innovations) for c in there]).max(axis=1)
+            if float((change > TRACE * change.max()).mean()) > FELT:
                 break
         return found
 

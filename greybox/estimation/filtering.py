@@ -10,7 +10,7 @@ import numpy.typing as npt
 from greybox.data import Segment
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, GainTable, engine_for
-from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.gain import Linearisation, Riccati, lost_command, stationary
 from greybox.estimation.record import Record, make_record
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -49,7 +49,10 @@ class Filter:
         past, future = model.dynamics.window
         window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
         values = lin.values(model.reference_state, window, model.parameter_vector(), model.sample_time)
-        self.riccati: Riccati = stationary(values, model.process_noise**2, model.sensor_noise**2, model.weak**2)
+        self.riccati: Riccati = stationary(
+            values, model.process_noise**2, model.sensor_noise**2, model.weak**2,
+            lost=lost_command(model.dynamics, model.reference_state, window, model.sample_time),
+        )  # fmt: skip
 
     def run(self, segment: Segment, p: FloatArray | None = None, x0: FloatArray | None = None) -> Filtered:
         """Filter one segment with the parameter vector p (the flight's own values by default) from x0 (measured start).

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import copy
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,7 +27,7 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
-from greybox.estimation.record import UNSURE
+from greybox.estimation.record import UNSURE, Record
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
 
@@ -91,6 +92,42 @@ class Linearisation:
         return tuple(out)
 
 
+def lost_command(dynamics: Dynamics, x: FloatArray, window: FloatArray, dt: float) -> FloatArray:
+    """(n_d, n_d) covariance of the next state where the present command is not known, at the nominal parameters.
+
+    It does not depend on what is fitted: the uncertainty is the log's.
+    """
+    try:
+        push = _push(dynamics)  # type: ignore[arg-type]
+    except TypeError:  # a model that cannot be hashed
+        push = _push.__wrapped__(dynamics)
+    b = push(x, window, [d.nominal for d in dynamics.parameters], dt).full()
+    sigma = LOST * np.abs(window[:, dynamics.window[0]])
+    # The voltage is slow: the row before has it.
+    sigma[[n == "vbat" for n in dynamics.inputs.names]] = 0.0
+    return np.asarray((b * sigma**2) @ b.T)
+
+
+def lost_of(
+    records: Iterable[Record], dynamics: Dynamics, x: FloatArray, window: FloatArray, dt: float
+) -> FloatArray | None:
+    """`lost_command` where a record has lost rows, else None."""
+    if not any((r.patterns == UNSURE).any() for r in records):
+        return None
+    return lost_command(dynamics, x, window, dt)
+
+
+@functools.lru_cache(maxsize=64)
+def _push(dynamics: Dynamics) -> Any:
+    """Derivative of the next error state in the present command, as a function of (x, window, p, dt)."""
+    s = symbols(dynamics)
+    x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
+    after = dynamics.step(0, x, u, p, w, dt)
+    _, out = chart_jacobians(dynamics, x, after)
+    b = out @ ca.jacobian(after, u[:, dynamics.window[0]])
+    return ca.Function("push", [x, u, p, dt], [ca.densify(ca.substitute(b, w, ca.DM.zeros(len(dynamics.noises))))])
+
+
 @functools.lru_cache(maxsize=64)
 def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> Linearisation:
     return Linearisation(dynamics, active, fixed)
@@ -108,15 +145,15 @@ def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray,
         return Linearisation(dynamics, tuple(active), fixed)
 
 
-LOST = 20.0
-"""A command that is not known counts as process noise so many times as strong, for one sample."""
+LOST = 0.04
+"""Standard deviation of a lost command about the one before, relative to the mean command."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Riccati:
     """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need.
 
-    `pieces` are (A, G, C), q and, with slopes, (dA, dG, dC) and dq: for samples after a lost command.
+    `lost` (n_d, n_d) is what a lost command adds to P for the next sample; `pieces` are A, C and, with slopes, dA, dC.
     """
 
     P: FloatArray
@@ -125,25 +162,24 @@ class Riccati:
     dP: FloatArray | None = None  # (n_s, n_d, n_d)
     dN: FloatArray | None = None
     dS: FloatArray | None = None
+    lost: FloatArray | None = None
     pieces: tuple[FloatArray, ...] = ()
 
     @cached_property
     def _after_lost(self) -> Riccati:
-        """The same for one sample whose state got LOST times the process noise: P grows by (LOST^2 - 1) G Q G'."""
-        a, g, c, q, *slopes = self.pieces
-        w = (LOST**2 - 1) * (g * q) @ g.T
+        assert self.lost is not None
+        a, c, *slopes = self.pieces
+        w = self.lost
         usual = Riccati(P=self.P + w, N=self.N + a @ w @ c.T, S=self.S + c @ w @ c.T)
-        if not slopes or self.dP is None or self.dN is None or self.dS is None:
+        if not slopes or self.dN is None or self.dS is None:
             return usual
-        da, dg, dc, dq = slopes
-        half = (dg * q) @ g.T
-        dw = (LOST**2 - 1) * (half + half.transpose(0, 2, 1) + (g * dq[:, None, :]) @ g.T)
+        da, dc = slopes
         side = dc @ w @ c.T
         return replace(
             usual,
-            dP=self.dP + dw,
-            dN=self.dN + da @ (w @ c.T) + a @ dw @ c.T + (a @ w) @ dc.transpose(0, 2, 1),
-            dS=self.dS + side + side.transpose(0, 2, 1) + c @ dw @ c.T,
+            dP=self.dP,
+            dN=self.dN + da @ (w @ c.T) + (a @ w) @ dc.transpose(0, 2, 1),
+            dS=self.dS + side + side.transpose(0, 2, 1),
         )
 
     def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
@@ -152,7 +188,7 @@ class Riccati:
         K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both keep their size.
         """
         m = np.asarray(there) != 0
-        if self.pieces and (np.asarray(there) == UNSURE).any():
+        if self.lost is not None and (np.asarray(there) == UNSURE).any():
             return self._after_lost.gain(m)
         ne = m.size
         s = np.eye(ne)
@@ -225,11 +261,12 @@ def stationary(
     slopes: tuple[FloatArray, ...] | None = None,
     dq: FloatArray | None = None,
     dr: FloatArray | None = None,
+    lost: FloatArray | None = None,
 ) -> Riccati:
     """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its derivatives.
 
     The first axis of all derivatives is the same list of parameters; slopes of model parameters may be shorter (the
-    remaining parameters are noise levels, which do not move A, G, C, D).
+    remaining parameters are noise levels, which do not move A, G, C, D). `lost` (n_d, n_d): see `lost_command`.
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
@@ -237,7 +274,7 @@ def stationary(
     n_ = a @ p @ c.T + gqd
     s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
     if slopes is None or dq is None or dr is None:
-        return Riccati(P=p, N=n_, S=s, pieces=(a, g, c, q))
+        return Riccati(P=p, N=n_, S=s, lost=lost, pieces=(a, c))
     # Gain of the problem with the pseudo-sensor (the one that P solves).
     full_s = np.block([[s, c @ p], [p @ c.T, p + np.diag(weak)]])
     full_k = np.column_stack([n_, a @ p]) @ np.linalg.inv(full_s)
@@ -255,7 +292,7 @@ def stationary(
     half = dc @ pc + (dd * q) @ d.T
     ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + (d * dq[:, None, :]) @ d.T
     ds[:, np.arange(r.size), np.arange(r.size)] += dr
-    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, pieces=(a, g, c, q, da, dg, dc, dq))
+    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=lost, pieces=(a, c, da, dc))
 
 
 def _extend(stack: FloatArray, n: int) -> FloatArray:

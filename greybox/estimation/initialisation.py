@@ -44,7 +44,7 @@ def _filter(
     lin: Linearisation = state["linearisation"]
     x, window = state["reference"]
     values = lin.values(x, window, problem.parameters_of(theta, None), problem.dt)
-    return stationary(values, process**2, sensor**2, state["weak"]), values
+    return stationary(values, process**2, sensor**2, state["weak"], lost=state["lost"]), values
 
 
 def _pass(

@@ -8,7 +8,7 @@ import pytest
 from greybox.data import dataset_from_arrays
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import fit
-from greybox.estimation.gain import LOST, stationary
+from greybox.estimation.gain import LOST, lost_command, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.estimation.record import UNSURE, make_records
@@ -72,14 +72,28 @@ def test_a_slow_sensor_is_not_a_lost_row(flight):
 def test_the_gain_is_that_of_a_filter_with_the_noise_of_the_lost_command():
     rng = np.random.default_rng(1)
     a, g, c, d = np.eye(2) * 0.9, rng.normal(size=(2, 1)), rng.normal(size=(3, 2)), rng.normal(size=(3, 1))
-    q, r = np.array([0.3]), np.array([0.1, 0.2, 0.4])
-    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9))
-    p = usual.P + (LOST**2 - 1) * (g * q) @ g.T
+    q, r, lost = np.array([0.3]), np.array([0.1, 0.2, 0.4]), np.diag([2.0, 3.0])
+    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=lost)
+    p = usual.P + lost
     s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
     k = (a @ p @ c.T + (g * q) @ d.T) @ np.linalg.inv(s)
     gain, covariance, _, _ = usual.gain(np.array([UNSURE, UNSURE, UNSURE]))
     assert gain == pytest.approx(k, rel=1e-10)
     assert covariance == pytest.approx(s, rel=1e-10)
+    assert usual.gain(np.ones(3))[1] == pytest.approx(usual.S)
+
+
+def test_a_lost_command_moves_what_commands_move(flight):
+    vehicle, whole, _, _ = flight
+    problem = problem_of(vehicle, whole)
+    x, window = problem.state["reference"]
+    spread = np.sqrt(np.diag(lost_command(problem.dynamics, x, window, problem.dt)))
+    at = {n: i for i, n in enumerate(problem.dynamics.error_states.names)}
+    # Four independent commands, LOST of the mean command u each: rate = dt lever 2 c2 u LOST u sqrt(4) / J.
+    u = problem.means["u1"]
+    expected = problem.dt * 0.088 * 2 * 4.2 * u * LOST * u * 2 / 2.1e-3
+    assert spread[at["d_rate.x"]] == pytest.approx(expected, rel=0.05)
+    assert spread[at["d_velocity.x"]] < 0.05 * spread[at["d_velocity.z"]]
 
 
 def test_the_gradient_stays_exact(flight):

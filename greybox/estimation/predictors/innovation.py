@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.gain import Riccati, linearisation_at, lost_of, stationary
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
@@ -41,6 +41,7 @@ class Innovation:
         return {
             "linearisation": linearisation_at(d, problem.engine.built, x, elsewhere).select(problem.engine.columns),
             "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
+            "lost": lost_of(problem.records, d, x, np.repeat(u[:, None], past + 1 + future, axis=1), problem.dt),
             "weak": weak**2,
         }
 
@@ -50,11 +51,12 @@ class Innovation:
         reference: Any = problem.state["reference"]
         x, window = reference
         weak: Any = problem.state["weak"]
+        lost: Any = problem.state["lost"]
         p = problem.parameters_of(theta, None)
         process, sensor = problem.noise_levels(theta)
         q, r = process**2, sensor**2
         if not slopes:
-            return stationary(lin.values(x, window, p, problem.dt), q, r, weak)
+            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=lost)
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain.
         shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
@@ -66,7 +68,7 @@ class Innovation:
         dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
         dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
         keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
-        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep])
+        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], lost)
 
     def tables(
         self, riccati: Riccati, patterns: FloatArray, extra: int
