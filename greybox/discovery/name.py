@@ -41,7 +41,7 @@ class Addition:
 
 def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float) -> Addition | None:
     """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly."""
-    passing = [s for s in scores if s.judged and s.p_family <= alpha]
+    passing = [s for s in scores if s.judged and s.allowed and s.p_family <= alpha]
     # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
     # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have.
     passing = sorted(passing, key=lambda s: -s.statistic)[:CONTENDERS]

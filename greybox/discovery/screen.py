@@ -14,7 +14,7 @@ projected scores of blocks of samples (Chernozhukov, Chetverikov and Kato 2013, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -35,7 +35,8 @@ class Score:
     in the metric of the block scores; `p` for this test alone (robust), `p_family` for the largest of all, `limit` the `p`
     below which the largest of all passes at the level that `screen` was given. `estimate` and `std` are the one-step
     estimates by parameter and flight. `left` is the smallest share of information that the free parameters leave to a
-    direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity)."""
+    direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity), `allowed` where
+    every first estimate lies beyond a bound (a negative delay)."""
 
     name: str
     statistic: float
@@ -49,6 +50,7 @@ class Score:
     judged: bool
     reason: str = ""
     limit: float = 0.0
+    allowed: bool = True
 
 
 def screen(
@@ -114,6 +116,7 @@ def screen(
                 std={_label(problem, i): float(s / scale[i]) for i, s in zip(alive, spread, strict=True)},
                 left=float(shares[keep].min()),
                 judged=True,
+                allowed=any(_allowed(problem, i, e) for i, e in zip(alive, estimate, strict=True)),
             )
         )
     return _calibrated(out, parts, alpha, draws, seed)
@@ -154,21 +157,7 @@ def _calibrated(
             continue
         fisher, robust, logp = levels[s.name]
         family = float((1 + (highest >= logp).sum()) / (draws + 1))
-        out.append(
-            Score(
-                name=s.name,
-                statistic=fisher,
-                robust=robust,
-                dof=s.dof,
-                p=float(np.exp(-logp)),
-                p_family=family,
-                estimate=s.estimate,
-                std=s.std,
-                left=s.left,
-                judged=True,
-                limit=limit,
-            )
-        )
+        out.append(replace(s, statistic=fisher, robust=robust, p=float(np.exp(-logp)), p_family=family, limit=limit))
     return sorted(out, key=lambda s: (not s.judged, s.p, -s.robust))
 
 
@@ -177,6 +166,12 @@ def _unjudged(name: str, reason: str, left: float = 0.0) -> Score:
         name=name, statistic=0.0, robust=0.0, dof=0, p=1.0, p_family=1.0, estimate={}, std={}, left=left, judged=False,
         reason=reason,
     )  # fmt: skip
+
+
+def _allowed(problem: Problem, i: int, step: float) -> bool:
+    """Whether the unknown may move from its start in the direction of `step`."""
+    u = problem.unknowns[i]
+    return u.start < u.upper if step > 0 else u.start > u.lower
 
 
 def _label(problem: Problem, i: int) -> Key:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -85,6 +85,12 @@ def test_what_does_not_pass_the_test_is_not_even_refitted():
     assert choose(refits, score("drag", 0.06)) is None
     assert choose(refits, score("drag", 0.001, judged=False)) is None
     assert refits.asked == [(), ()]
+
+
+def test_what_would_have_to_be_negative_is_not_even_refitted():
+    refits = Refits({(): 1000.0, ("drag",): 1.0})
+    assert choose(refits, replace(score("drag", 0.001), allowed=False)) is None
+    assert refits.asked == [()]
 
 
 def test_contenders_are_those_that_promise_most_likelihood():

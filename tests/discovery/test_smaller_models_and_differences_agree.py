@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,3 +59,23 @@ def test_differences_are_the_exact_sensitivities(both: tuple[Problem, FloatArray
     assert np.abs(a.gradient - b.gradient[order]).max() < 1e-3 * np.abs(b.gradient).max()
     assert np.abs((a.hessian - b.hessian[np.ix_(order, order)]) / np.outer(spread, spread)).max() < 1e-4
     assert np.abs((a.scores - b.scores[:, order]) / spread).max() < 1e-4 * np.abs(b.scores[:, order] / spread).max()
+
+
+def test_a_limit_that_no_command_reaches_is_moved_until_it_is_felt():
+    data = small_world.flown()
+    offered = candidates(small_world.vehicle(), data.channels, sample_time=0.01)
+    some = tuple(n for n in offered.names if n != "command_saturation")
+    model = offered.model.without_effect(*some)
+    nest = Nest(
+        candidates=replace(
+            offered, model=model, parameters={"command_saturation": offered.parameters["command_saturation"]}
+        ),
+        data=data,
+    )
+    at = nest.refit(())
+    null = dict.fromkeys(offered.parameters["command_saturation"], 0.0)
+    wide, theta = widened(at.fit.problem, at.fit.theta, model, data, null)
+    value = wide.evaluate(theta)
+    assert value.hessian is not None
+    upper = [u.name for u in wide.unknowns].index("command_saturation.a_hi")
+    assert value.hessian[upper, upper] > 0
