@@ -167,9 +167,8 @@ class Riccati:
 
     @cached_property
     def _after_lost(self) -> Riccati:
-        assert self.lost is not None
         a, c, *slopes = self.pieces
-        w = self.lost
+        w: FloatArray = np.zeros_like(self.P) if self.lost is None else self.lost
         usual = Riccati(P=self.P + w, N=self.N + a @ w @ c.T, S=self.S + c @ w @ c.T)
         if not slopes or self.dN is None or self.dS is None:
             return usual
