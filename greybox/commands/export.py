@@ -1,0 +1,86 @@
+"""greybox export MODEL.json --out DIR: a fitted model as C, CasADi and numbers that a controller can use without greybox."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
+
+
+def add(commands: Any) -> None:
+    """Add the subcommand."""
+    p = commands.add_parser(
+        "export",
+        help="write a fitted model as C and CasADi for a controller",
+        description="Write a fitted model (physics, hybrid or linear) as a folder that a controller can use without "
+        "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing folder "
+        "is replaced only when it is such a bundle. Exit code 0: done, 2: bad input.",
+    )
+    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or `linear`")
+    p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
+    p.add_argument(
+        "--target", default="c,casadi", metavar="T,...", help=f"some of {', '.join(TARGETS)} (default %(default)s)"
+    )
+    p.add_argument("--float", action="store_true", help="C in single precision")
+    p.add_argument("--name", metavar="NAME", help="prefix of everything in C (default: the folder's name)")
+    p.add_argument(
+        "--dt", type=float, metavar="S", help="sample time (default: the one that the model was identified at)"
+    )
+    p.add_argument("--with", dest="groups", default="", metavar="G,...", help=f"also {', '.join(GROUPS)}")
+    p.add_argument(
+        "--runtime", default="", metavar="P,...", help="parameters that stay arguments: mass, ..., gp.weights"
+    )
+    p.add_argument("--points", type=int, metavar="M", help="fewer support points for the learned part")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
+    p.add_argument("--json", metavar="FILE", help="write the manifest; - for standard output")
+    p.set_defaults(run=run)
+
+
+def _split(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, export, say what was written. Returns 0."""
+    from greybox.errors import DataError, UnknownNameError
+    from greybox.files import dump_json, write_json
+
+    for what, given, known in (("export target", arguments.target, TARGETS), ("group", arguments.groups, GROUPS)):
+        for name in _split(given):
+            if name not in known:
+                raise UnknownNameError(what, name, known)
+    if not _split(arguments.target):
+        raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
+    if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
+        raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
+    from mpc_export.bundle import describe, write_bundle
+
+    bundle = write_bundle(
+        _model(arguments.model, arguments.effects_file), arguments.out, name=arguments.name, dt=arguments.dt,
+        targets=_split(arguments.target), real="float" if arguments.float else "double", with_=_split(arguments.groups),
+        runtime_parameters=_split(arguments.runtime), points=arguments.points, use_cache=not arguments.no_cache,
+    )  # fmt: skip
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(bundle.manifest))
+        return 0
+    print(describe(bundle))
+    if arguments.json:
+        write_json(arguments.json, bundle.manifest)
+    return 0
+
+
+def _model(path: str, effects_files: list[str]) -> Any:
+    """A model file of any kind that can be exported. Raises `FileFormatError`."""
+    from greybox.files import read_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.linear import SCHEMA as LINEAR
+    from greybox.model.linear import LinearModel
+    from greybox.residual.files import load_model
+
+    if read_json(path).get("schema") == LINEAR:
+        return LinearModel.load(path)
+    return load_model(path, effects=[e for file in effects_files for e in load_effects(file)])

@@ -1,0 +1,254 @@
+"""python -m mpc_export.verify DIR: does a bundle still compute what it was exported from?
+
+Checks that the files are whole; compiles c/ strictly, runs the self-test, and calls every function from a shared library at
+every golden point; replays python/ (rebuild) and casadi/ where casadi is installed. Prints the largest differences, in units
+of each output's scale. Exit code 0: all agree; 1: something does not; 2: not a bundle.
+
+Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox nor this package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import ctypes
+import hashlib
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+SCHEMA = "greybox.bundle/1"
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+REBUILD_LIMIT = 1e-11
+"""Other versions of CasADi order sums differently."""
+Point = tuple[list[list[float]], list[list[float]]]
+
+
+class VerifyError(Exception):
+    """Something that makes verification impossible or wrong, in one line."""
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest, checked by schema. Raises `VerifyError`."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise VerifyError(f"{folder}: not a bundle ({error})") from None
+    if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
+        raise VerifyError(f"{folder}: not a bundle of this version, expected schema {SCHEMA}")
+    return manifest
+
+
+def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Files that are missing or not as they were written."""
+    out = []
+    for name, digest in manifest["files"].items():
+        path = folder / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            out.append(name)
+    return out
+
+
+def golden(folder: Path, function: Mapping[str, Any]) -> Iterator[Point]:
+    """(arguments, results) of every golden point, each a list of columns of numbers."""
+    with open(folder / "golden" / f"{function['name']}.csv", newline="", encoding="utf-8") as stream:
+        rows = csv.reader(stream)
+        next(rows)
+        for row in rows:
+            numbers, at = [float(v) for v in row], 0
+            parts: list[list[list[float]]] = []
+            for ports in (function["arguments"], function["results"]):
+                parts.append([])
+                for port in ports:
+                    size = port["rows"] * port["columns"]
+                    parts[-1].append(numbers[at : at + size])
+                    at += size
+            yield parts[0], parts[1]
+
+
+def gap(function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Sequence[Sequence[float]]) -> float:
+    """Largest difference over the results of one call, in units of each output's scale; infinite where one is NaN."""
+    worst = 0.0
+    for port, ours, theirs in zip(function["results"], got, want, strict=True):
+        for a, b in zip(ours, theirs, strict=True):
+            difference = abs(a - b)
+            worst = max(worst, difference / port["scale"]) if difference == difference else float("inf")
+    return worst
+
+
+# ---------------------------------------------------------------------------------------------------- C
+
+
+def find_compiler(asked: str | None) -> str:
+    """$CC, cc, gcc or clang. Raises `VerifyError`."""
+    for name in (asked, os.environ.get("CC"), "cc", "gcc", "clang"):
+        if name and (found := shutil.which(name)):
+            return found
+    raise VerifyError("no C compiler: install gcc or clang, or pass --no-c")
+
+
+def run(command: Sequence[str]) -> str:
+    """Standard output of a command. Raises `VerifyError` with its first complaint."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = (done.stderr or done.stdout).strip().splitlines()
+        raise VerifyError(f"{' '.join(command[:1])} failed with code {done.returncode}: {said[0] if said else ''}")
+    return done.stdout
+
+
+def build(folder: Path, manifest: Mapping[str, Any], compiler: str, work: Path) -> Path:
+    """Strictly compiled shared library in `work`, after the self-test has passed. Raises `VerifyError`."""
+    name, source = manifest["name"], folder / "c"
+    objects = []
+    for stem, extra in ((name, ["-Wno-unused-parameter"]), (f"{name}_model", []), (f"{name}_selftest", [])):
+        objects.append(str(work / f"{stem}.o"))
+        run([compiler, *STRICT, *extra, "-O1", "-fPIC", "-c", str(source / f"{stem}.c"), "-o", objects[-1]])
+    program = work / "selftest"
+    run([compiler, *objects, "-o", str(program), "-lm"])
+    print(f"  {run([str(program)]).strip()}")
+    library = work / "model.so"
+    run([compiler, "-shared", *objects[:2], "-o", str(library), "-lm"])
+    return library
+
+
+class CLibrary:
+    """Functions of a compiled bundle, called through their own calling convention."""
+
+    def __init__(self, path: Path, manifest: Mapping[str, Any]) -> None:
+        self.library = ctypes.CDLL(str(path))
+        self.manifest = manifest
+        self.real: Any = ctypes.c_double if manifest["c"]["real"] == "double" else ctypes.c_float
+        self.integer: Any = ctypes.c_longlong if manifest["c"]["integer"].startswith("long") else ctypes.c_int
+        abi = getattr(self.library, f"{manifest['name']}_abi")
+        abi.restype = ctypes.c_uint
+        if abi() != manifest["abi"]:
+            raise VerifyError("the compiled library has another layout than the manifest")
+
+    def call(self, function: Mapping[str, Any], arguments: Sequence[Sequence[float]]) -> list[list[float]]:
+        """Results as columns of numbers. Raises `VerifyError` where the function fails."""
+        sizes = self.manifest["c"]["functions"][function["name"]]
+        pointer = ctypes.POINTER(self.real)
+        given = [(self.real * max(len(a), 1))(*a) for a in arguments]
+        lengths = [p["rows"] * p["columns"] for p in function["results"]]
+        results = [(self.real * max(n, 1))() for n in lengths]
+        arg = (pointer * max(sizes["sz_arg"], 1))(*(ctypes.cast(a, pointer) for a in given))
+        res = (pointer * max(sizes["sz_res"], 1))(*(ctypes.cast(r, pointer) for r in results))
+        iw, w = (self.integer * max(sizes["sz_iw"], 1))(), (self.real * max(sizes["sz_w"], 1))()
+        code = getattr(self.library, f"{self.manifest['name']}_{function['name']}")(arg, res, iw, w, 0)
+        if code:
+            raise VerifyError(f"{function['name']} returned {code}")
+        return [list(r)[:n] for r, n in zip(results, lengths, strict=True)]
+
+
+def verify_c(folder: Path, manifest: Mapping[str, Any], compiler: str) -> dict[str, float]:
+    """Function -> largest difference between C and golden vectors."""
+    with tempfile.TemporaryDirectory(prefix="verify-") as work:
+        library = CLibrary(build(folder, manifest, compiler, Path(work)), manifest)
+        return {
+            f["name"]: max(gap(f, library.call(f, given), want) for given, want in golden(folder, f))
+            for f in manifest["functions"]
+        }
+
+
+# ---------------------------------------------------------------------------------------------------- casadi
+
+
+def _columns(function: Any, arguments: Sequence[Sequence[float]]) -> list[list[float]]:
+    import casadi as ca
+
+    given = [
+        ca.reshape(ca.DM(a), *function.size_in(i)) if a else ca.DM(*function.size_in(i))
+        for i, a in enumerate(arguments)
+    ]
+    return [[float(v) for v in ca.densify(r).nonzeros()] for r in function.call(given)]
+
+
+def verify_functions(folder: Path, manifest: Mapping[str, Any], functions: Mapping[str, Any]) -> dict[str, float]:
+    """Function -> largest difference between CasADi functions and golden vectors."""
+    return {
+        f["name"]: max(gap(f, _columns(functions[f["name"]], given), want) for given, want in golden(folder, f))
+        for f in manifest["functions"]
+    }
+
+
+def load_rebuild(folder: Path) -> dict[str, Any]:
+    """The functions of python/, with the bundle's own interpreter."""
+    spec = importlib.util.spec_from_file_location("bundle_rebuild", folder / "python" / "rebuild.py")
+    if spec is None or spec.loader is None:
+        raise VerifyError(f"{folder}: python/rebuild.py cannot be read")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return dict(module.load(folder / "python"))
+
+
+def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Differences of the rebuild, and of the .casadi files where this CasADi wrote them; empty without casadi."""
+    try:
+        import casadi as ca
+    except ImportError:
+        print("  rebuild: not checked, casadi is not installed")
+        return {}
+    out = {"rebuild": verify_functions(folder, manifest, load_rebuild(folder))}
+    if not (folder / "casadi").is_dir():
+        return out
+    if manifest["versions"]["casadi"] != ca.CasadiMeta.version():
+        print(f"  casadi/: not checked, written by {manifest['versions']['casadi']}, here is {ca.CasadiMeta.version()}")
+        return out
+    files = {f["name"]: ca.Function.load(str(folder / "casadi" / f"{f['name']}.casadi")) for f in manifest["functions"]}
+    return {**out, "casadi files": verify_functions(folder, manifest, files)}
+
+
+# ---------------------------------------------------------------------------------------------------- main
+
+
+def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) -> bool:
+    """Verify a bundle and print what was found. Raises `VerifyError` where that cannot be done."""
+    manifest = read_manifest(folder)
+    print(f"{folder}: {manifest['name']}, {manifest['model']['name']}")
+    changed = changed_files(folder, manifest)
+    if changed:
+        print(f"  changed since the export: {', '.join(changed)}")
+    found: dict[str, tuple[dict[str, float], float]] = {}
+    if manifest["c"] and with_c:
+        found["C"] = (verify_c(folder, manifest, find_compiler(compiler)), manifest["tolerance"])
+    found |= {k: (v, REBUILD_LIMIT) for k, v in verify_casadi(folder, manifest).items()}
+    good = not changed
+    for what, (gaps, limit) in found.items():
+        name = max(gaps, key=lambda n: gaps[n])
+        passed = gaps[name] <= limit
+        good = good and passed
+        print(
+            f"  {what}: largest difference {gaps[name]:.2g} of the output's scale, in {name} (limit {limit:g}): "
+            f"{'passed' if passed else 'FAILED'}"
+        )
+    return good
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line. Returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m mpc_export.verify", description=str(__doc__).splitlines()[0])
+    parser.add_argument("folder", metavar="DIR", type=Path, help="bundle that `greybox export` wrote")
+    parser.add_argument("--cc", metavar="COMPILER", help="C compiler (default: $CC, cc, gcc or clang)")
+    parser.add_argument("--no-c", action="store_true", help="check the rebuild only, without a C compiler")
+    arguments = parser.parse_args(argv)
+    try:
+        read_manifest(arguments.folder)
+    except VerifyError as error:
+        print(f"verify: {error}", file=sys.stderr)
+        return 2
+    try:
+        return 0 if verify(arguments.folder, arguments.cc, with_c=not arguments.no_c) else 1
+    except VerifyError as error:
+        print(f"verify: {error}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
