@@ -148,8 +148,8 @@ def gp_kernels(
 
 
 class _Writer:
-    """Writes one C function. Names in it: z input, x standardised, k and g kernel and slope per kernel (g only where it
-    is not -k/2), v = E'E k, i point, d input, j output, q kernel."""
+    """Writes one C function. Names in it: z input, x standardised, k and g kernel (in float less its variance) and slope
+    per kernel (g only where it is not -k/2), v = E'E k, i point, d input, j output, q kernel."""
 
     def __init__(self, kernel: GPKernel, symbol: str, real: Real) -> None:
         self.of, self.symbol, self.real = kernel, symbol, real
@@ -162,6 +162,9 @@ class _Writer:
         self.second = bool({"variance", "variance_jacobian", "distance"} & set(kernel.which))
         self.back = "variance_jacobian" in self.place
         self.needs_slope = self.back or "mean_jacobian" in self.place
+        # Float keeps k - variance: with long length-scales all k are near one and weights are large and alternate, so
+        # that what is common is better summed beforehand.
+        self.less = real == "float"
 
     def write(self) -> tuple[dict[str, str], str]:
         if self.of.kernels:
@@ -280,20 +283,21 @@ class _Writer:
 
     def _correlation(self, kernel: Kernel, q: int) -> list[str]:
         """Squared distance s<q> becomes k and g."""
-        family, own = _family(kernel), self._own_slope(kernel)
+        family, own, size = _family(kernel), self._own_slope(kernel), repr(kernel.variance)
         if family == "se":
-            out = [f"    s{q} = gb_exp(-0.5*s{q})*{kernel.variance!r};"]
-            out += [f"    GB_STORE(g{q} + i, -0.5*s{q});"] if own else []
+            whole = f"s{q} + {size}" if self.less else f"s{q}"
+            out = [f"    s{q} = {'gb_expm1' if self.less else 'gb_exp'}(-0.5*s{q})*{size};"]
+            out += [f"    GB_STORE(g{q} + i, -0.5*({whole}));"] if own else []
         else:
             self.shared.setdefault("gb_sqrt", _SQRT)
             root = 3.0 if family == "matern32" else 5.0
-            k, g = ("(1.0 + a)*e", "-1.5*e")
-            if family == "matern52":
-                k, g = (f"(1.0 + a + a*a*{1 / 3!r})*e", f"{-5 / 6!r}*((1.0 + a)*e)")
-            out = [
-                f"    {{ const gb_v a = gb_sqrt({root!r}*s{q}), e = gb_exp(-a)*{kernel.variance!r}; s{q} = {k};",
-                f"      GB_STORE(g{q} + i, {g}); }}" if own else "    }",
-            ]
+            more, g = ("a", "-1.5*e") if family == "matern32" else (f"(a + a*a*{1 / 3!r})", f"{-5 / 6!r}*((1.0 + a)*e)")
+            begin = f"    {{ const gb_v a = gb_sqrt({root!r}*s{q}), "
+            if self.less:
+                begin += f"m = gb_expm1(-a)*{size}, e = m + {size}; s{q} = m + {more}*e;"
+            else:
+                begin += f"e = gb_exp(-a)*{size}; s{q} = e + {more}*e;"
+            out = [begin, f"      GB_STORE(g{q} + i, {g}); }}" if own else "    }"]
         if kernel.slopes is not None:
             features = self._support_features(kernel)
             out.append(f"    s{q} += {common.tree([f'f{q}_{d}*{self._over(d, features)}' for d in range(self.n_in)])};")
@@ -313,14 +317,19 @@ class _Writer:
                 f"    casadi_real weights[{self.points}] GB_ALIGNED = {{0}};",
                 f"    if (arg[{argument}]) for (i=0; i<{m}; ++i) weights[i] = arg[{argument}][{offset + j * m} + i];",
             ]
-        scale = float(self.gp.output_scale[j])
+        scale, size = float(self.gp.output_scale[j]), self.gp.kernels[j].variance
+        base, whole = float(self.gp.output_mean[j]), f"GB_LOAD(k{q} + i)"
+        if self.less and self.of.weights is None:
+            base += scale * size * float(self.gp.weights[:, j].sum())
+        elif self.less:
+            whole = f"({whole} + {size!r})"
         if "mean" in self.place:
             target = self._result("mean")
             self.lines += [
                 f"    if ({target}) {{",
                 "      gb_v a = {0};",
-                f"      for (i=0; i<{self.points}; i+=GB_LANES) a += GB_LOAD({name} + i)*GB_LOAD(k{q} + i);",
-                f"      {target}[{j}] = {float(self.gp.output_mean[j])!r} + {scale!r}*gb_sum(a);",
+                f"      for (i=0; i<{self.points}; i+=GB_LANES) a += GB_LOAD({name} + i)*{whole};",
+                f"      {target}[{j}] = {base!r} + {scale!r}*gb_sum(a);",
                 "    }",
             ]
         if "mean_jacobian" in self.place:
@@ -333,6 +342,9 @@ class _Writer:
         """
         kernel, q, n = self.gp.kernels[j], self.of.kernel_of(j), range(self.n_in)
         own, target = self._own_slope(kernel), self._result(quantity)
+        slope = f"GB_LOAD({'g' if own else 'k'}{q} + i)"
+        if self.less and not own:
+            slope = f"({slope} + {kernel.variance!r})"
         support = self._array(self._padded(self.gp.support.T))
         factor = self._array((2.0 if own else -1.0) * scale * kernel.lengthscales**-2.0 / self.gp.input_scale)
         out = [
@@ -345,7 +357,7 @@ class _Writer:
         out += [
             f"      for (i=0; i<{self.points}; i+=GB_LANES) {{",
             f"        const gb_v c = {c};",
-            f"        const gb_v t = c*GB_LOAD({'g' if own else 'k'}{q} + i);",
+            f"        const gb_v t = c*{slope};",
             "        a += t;",
             *(f"        a{d} += t*{self._over(d, support)};" for d in n),
         ]
@@ -387,7 +399,10 @@ class _Writer:
             name = "gb_norm_back" if self.back else "gb_norm"
             self.shared.setdefault(name, common.triangular_product(self.real, back=self.back))
             given = f", {v}" if self.back else ""
-            return f"{name}({self._array(common.blocks(factor, self.real))}, k{q}{given}, {self.points})"
+            start = ""
+            if self.less:
+                start = f", {self._array(self._padded((factor.sum(1) * kernel.variance)[None]))}"
+            return f"{name}({self._array(common.blocks(factor, self.real))}, k{q}{given}, {self.points}{start})"
 
         self.lines.append(f"    const casadi_real left = {prior} - {norm(first, 'v')};")
         cut = "(left < 0.0 ? 0.0 : left)"  # so that NaN stays

@@ -2,9 +2,9 @@
 
 Plain C99. Where the compiler has vectors (GNU C: gcc and clang) the same text works on as many reals as the target's
 registers hold, elsewhere (Cortex-M4F) on single ones. Arrays are padded to `PAD` reals, so that no loop has a rest.
-The exponential takes arguments <= 0 to within 2 units in the last place (3 in float) of the true value, keeps NaN, and
-is 0 below -708 (-87 in float): Cody and Waite's reduction, x = n ln 2 + r, and a polynomial in r on [-ln 2/2, ln 2/2]
-(interpolation in Chebyshev nodes, relative error 1.7e-17, in float 1e-8).
+The exponential takes arguments <= 0, keeps NaN, and is 0 below -708 (-87 in float): Cody and Waite's reduction,
+x = n ln 2 + r, and a polynomial in r on [-ln 2/2, ln 2/2] (interpolation in Chebyshev nodes, relative error 1.7e-17, in
+float 1e-8). In float it is exp(x) - 1, whose digits are not lost where covariances are all near one.
 """
 
 from __future__ import annotations
@@ -58,28 +58,30 @@ typedef casadi_real gb_v;
 """
 
 _EXP = """\
-/* exp(x) for x <= 0, lane by lane. */
-static inline gb_v gb_exp(gb_v x) {
+/* @what@ for x <= 0, lane by lane. */
+static inline gb_v @name@(gb_v x) {
 #if GB_LANES > 1
-  const gb_v t = x*@log2e@ + @magic@;
+  const gb_v t = x*@log2e@ + @magic@, n = t - @magic@;
 #else
   union { casadi_real real; gb_bits bits; } t, s;
+  gb_v n;
 #endif
-  gb_v n, r, y;
-#if GB_LANES > 1
-  n = t - @magic@;
-#else
+  gb_v r, y;
+#if GB_LANES == 1
   t.real = x*@log2e@ + @magic@;
   n = t.real - @magic@;
 #endif
   r = (x - n*@high@) - n*@low@;
 @polynomial@
 #if GB_LANES > 1
-  y = y*(gb_v)(((gb_i)t << @shift@) + ((gb_bits)@bias@ << @shift@));
-  return (gb_v)((gb_i)y & ~(gb_i)(x < @least@));
+  {
+    const gb_v s = (gb_v)(((gb_i)t << @shift@) + ((gb_bits)@bias@ << @shift@));
+    const gb_i least = (gb_i)(x < @least@);
+    @vector@
+  }
 #else
   s.bits = (t.bits << @shift@) + ((gb_bits)@bias@ << @shift@);
-  return x < @least@ ? 0 : y*s.real;
+  @scalar@
 #endif
 }
 """
@@ -100,10 +102,32 @@ static inline casadi_real gb_sum(gb_v a) {
 
 
 def exponential(real: str) -> str:
-    """Definition of `gb_exp`."""
-    c = _COEFFICIENTS[real]
-    # Estrin's scheme: half the depth of Horner's.
-    level = [_number(v) for v in c]
+    """Definition of `gb_exp`, exp(x); in float of `gb_expm1`, exp(x) - 1."""
+    double = real == "double"
+    polynomial = _estrin(_COEFFICIENTS[real][0 if double else 1 :])
+    parts = {
+        "what": "exp(x)" if double else "exp(x) - 1",
+        "name": "gb_exp" if double else "gb_expm1",
+        "log2e": "1.4426950408889634" if double else "1.44269504",
+        "magic": "6755399441055744.0" if double else "12582912.0",
+        "high": "6.93147180369123816490e-01" if double else "0.693145751953125",
+        "low": "1.90821492927058770002e-10" if double else "1.42860677e-06",
+        "shift": "52" if double else "23",
+        "bias": "1023" if double else "127",
+        "least": "-708.0" if double else "-87.0",
+        "polynomial": polynomial if double else f"{polynomial}\n  y *= r;",
+        # NaN is not below the least argument and stays.
+        "vector": "return (gb_v)((gb_i)(y*s) & ~least);"
+        if double
+        else "y = y*s + (s - 1.0);\n    return (gb_v)((gb_i)y & ~least) - (gb_v)(least & (gb_bits)0x3f800000);",
+        "scalar": "return x < -708.0 ? 0 : y*s.real;" if double else "return x < -87.0 ? -1 : y*s.real + (s.real - 1.0);",
+    }  # fmt: skip
+    return _filled(_EXP, parts)
+
+
+def _estrin(coefficients: Sequence[float]) -> str:
+    """y = sum_i c_i r^i in Estrin's scheme: half the depth of Horner's."""
+    level = [_number(v) for v in coefficients]
     lines: list[str] = []
     power, step = "r", 0
     while len(level) > 1:
@@ -118,19 +142,7 @@ def exponential(real: str) -> str:
             lines.append(f"    const gb_v r{step} = {power}*{power};")
             power = f"r{step}"
         step += 1
-    polynomial = "  {\n" + "\n".join(lines) + f"\n    y = {level[0]};\n  }}"
-    double = real == "double"
-    parts = {
-        "log2e": "1.4426950408889634" if double else "1.44269504",
-        "magic": "6755399441055744.0" if double else "12582912.0",
-        "high": "6.93147180369123816490e-01" if double else "0.693145751953125",
-        "low": "1.90821492927058770002e-10" if double else "1.42860677e-06",
-        "shift": "52" if double else "23",
-        "bias": "1023" if double else "127",
-        "least": "-708.0" if double else "-87.0",
-        "polynomial": polynomial,
-    }
-    return _filled(_EXP, parts)
+    return "  {\n" + "\n".join(lines) + f"\n    y = {level[0]};\n  }}"
 
 
 def vectors(real: str) -> str:
@@ -151,14 +163,15 @@ def lane_sum() -> str:
 def triangular_product(real: str, *, back: bool) -> str:
     """Definition of `gb_norm(e, k, n)`, |E k|^2, or with `back` of `gb_norm_back(e, k, v, n)`, which also gives v = E'E k.
 
-    e holds a lower triangular E as `blocks` lays it out, k and v have n reals. Each block of rows is read once.
+    e holds a lower triangular E as `blocks` lays it out, k and v have n reals. Each block of rows is read once. In float
+    k comes without a constant, whose product with E is the last argument: |E k + start|^2.
     """
     rows = range(PAD[real])
     name = "gb_norm_back" if back else "gb_norm"
+    start = real == "float"
     out = [
-        f"static casadi_real {name}(const casadi_real* restrict e, const casadi_real* restrict k"
-        + (", casadi_real* restrict v" if back else "")
-        + ", int n) {",
+        f"static casadi_real {name}(const casadi_real* restrict e, const casadi_real* restrict k,",
+        f"    {'casadi_real* restrict v, ' if back else ''}int n{', const casadi_real* start' if start else ''}) {{",
         "  casadi_real s = 0;",
         "  int g, c, m;",
         f"  for (g=0; g<n; g+={len(rows)}) {{",
@@ -169,7 +182,7 @@ def triangular_product(real: str, *, back: bool) -> str:
         *(f"      a{r} += GB_LOAD(e + {r}*m + c)*x;" for r in rows),
         "    }",
         "    {",
-        f"      const casadi_real {', '.join(f's{r} = gb_sum(a{r})' for r in rows)};",
+        *(f"      const casadi_real s{r} = gb_sum(a{r}){f' + start[g + {r}]' if start else ''};" for r in rows),
         f"      s += {tree([f's{r}*s{r}' for r in rows])};",
     ]
     if back:
