@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.discovery.regimes import Regime, regimes
 from greybox.discovery.terms import Term, terms, wanted_features
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -75,6 +76,7 @@ class Promoted:
     fit: Fit
     gain: float
     axes: tuple[Leftover, ...]
+    regimes: tuple[Regime, ...] = ()
 
     @property
     def deficient(self) -> bool:
@@ -115,7 +117,7 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
         )
         for j, channel in enumerate(seen.outputs)
     )  # fmt: skip
-    return Promoted(fit=result, gain=gain, axes=axes)
+    return Promoted(fit=result, gain=gain, axes=axes, regimes=regimes(seen, names))
 
 
 def axis_gains(result: Fit, total: float) -> dict[str, float]:

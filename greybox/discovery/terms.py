@@ -81,7 +81,7 @@ def _term(text: str, code: str, uses: Iterable[str], values: FloatArray) -> Term
     return Term(text=text, code=code, uses=tuple(dict.fromkeys(uses)), values=np.asarray(values, dtype=float))
 
 
-def _rotors(names: Sequence[str], z: FloatArray) -> FloatArray:
+def rotors(names: Sequence[str], z: FloatArray) -> FloatArray:
     """Rotor speeds or, without rotor states, commands (N, n); (N, 0) where the features hold neither."""
     return z[:, [i for i, n in enumerate(names) if n[:2] == "nu" or (n[0] == "u" and n[1:].isdigit())]]
 
@@ -124,7 +124,7 @@ def _signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[_Sig
             add("height" if a == "z" else f"position.{a}", "place", f"flow.position[{i}]", at[f"position.{a}"])
     if "vbat" in at:
         add("vbat", "battery", "flow.vbat", at["vbat"])
-    nu = _rotors(names, z)
+    nu = rotors(names, z)
     if nu.shape[1] == len(vehicle.rotors):
         for name, w in _weights(vehicle).items():
             kind = "collective" if name == "thrust" else "mix"
@@ -135,7 +135,7 @@ def _signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[_Sig
 def _bumps(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
     """Sums over rotors of exp(-((nu - c) / width)^2), weighted as the rotor's thrust enters the channel."""
     mix = {"force.z": "thrust", "torque.x": "roll", "torque.y": "pitch", "torque.z": "yaw"}.get(channel)
-    nu = _rotors(names, z)
+    nu = rotors(names, z)
     if mix is None or nu.shape[1] != len(vehicle.rotors):
         return []
     low, high = np.quantile(nu, [0.02, 0.98])

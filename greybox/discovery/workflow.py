@@ -187,6 +187,7 @@ class Discovery:
                 "before": None if self.before is None else self.before.gain,
                 "after": None if self.leftover is None else self.leftover.gain,
             },
+            "regimes": [] if self.before is None else [r.to_dict() for r in self.before.regimes],
             "spectrum": None if self.spectrum is None else self.spectrum.to_dict(),
             "steps": self.steps(),
             "gap": [r.to_dict() for r in self.gap],

@@ -98,3 +98,26 @@ def band_map(channels: Sequence[str], frequency: npt.ArrayLike, density: npt.Arr
     axes.tick_params(axis="y", labelsize=7.5)
     _label(axes, x="frequency [Hz]", title=title)
     return figure
+
+
+def regime_map(axes_names: Sequence[str], edges: npt.ArrayLike, ratio: npt.ArrayLike, *, title: str) -> Figure:
+    """RMS of the discrepancy (n, B) in B ranges of a signal over its RMS everywhere: full depth at twice, empty at or below
+    once; `edges` (B + 1)."""
+    bounds, values = np.asarray(edges, dtype=np.float64), np.asarray(ratio, dtype=np.float64)
+    height = 0.2 * len(axes_names) + 0.95
+    figure = _figure(height)
+    left = 0.95
+    axes = _axes(figure, left, 0.46, WIDTH - left - 0.2, height - _TOP - 0.46)
+    axes.grid(visible=False)
+    for i, row in enumerate(values):
+        for j, v in enumerate(row):
+            if np.isfinite(v) and v > 1.02:
+                place = (j, len(axes_names) - 1 - i)
+                axes.add_patch(Rectangle(place, 1, 1, facecolor=SERIES[1], alpha=min(float(v) - 1, 1.0), linewidth=0))
+    axes.set_xlim(0, values.shape[1])
+    axes.set_ylim(0, len(axes_names))
+    axes.set_xticks(np.arange(len(bounds)), [number(float(b), 2) for b in bounds])
+    axes.set_yticks(np.arange(len(axes_names)) + 0.5, [_plain(n) for n in axes_names[::-1]])
+    axes.tick_params(axis="y", labelsize=7.5)
+    _label(axes, x="quarters of the signal's values", title=title)
+    return figure

@@ -11,7 +11,7 @@ import scipy.stats
 from matplotlib.figure import Figure
 
 from greybox.report import figures
-from greybox.report.discover_figures import band_map, evidence, paired_bars
+from greybox.report.discover_figures import band_map, evidence, paired_bars, regime_map
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import number, p_value, rounded
@@ -39,6 +39,7 @@ def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> 
     _where(report, content)
     _which(report, content)
     _added(report, content)
+    _withheld(report, content)
     _gap(report, content)
     _power(report, content)
     _next(report, content)
@@ -73,7 +74,10 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
         "one of " + ", ".join(f"{c['name']} ({100 * c['weight']:.0f} %)" for c in a["candidates"])
         for a in content["ambiguous"]
     ]
-    texts += [f"no name, but a law: {u['proposal']} [{u['unit']}]" for u in content["unnamed"]]
+    texts += [
+        f"no name, but a law: {u['proposal']} [{u['unit']}]" if u["proposal"] else f"no name and no law: {u['channel']}"
+        for u in content["unnamed"]
+    ]
     best = _closed(content)
     if best:
         texts.append(
@@ -134,9 +138,28 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
         report.table(
             ["axis", "follows", "share"], seen, numeric=(2,),
             caption="Signals that the discrepancy follows before the additions, and the share of its variance that they "
-            "explain on stretches of flight that were left out.",
+            "explain on flights that were left out.",
         )  # fmt: skip
+    _regimes(report, content)
     _bands(report, content)
+
+
+def _regimes(report: Report, content: Mapping[str, Any]) -> None:
+    rows = content.get("regimes", [])
+    before = content["deficiency"]["before"]
+    if not rows or before is None or before <= CLEAR:
+        return
+    names = [r["channel"] for r in content["locations"]]
+    panels: list[tuple[Figure, str]] = []
+    for r in rows:
+        figure = regime_map(names, r["edges"], r["ratio"], title=f"{r['signal']} [{r['unit']}]")
+        panels.append((figure, f"Unmodelled force and torque per axis in quarters of {r['signal']}"))
+    report.figures(
+        panels,
+        caption="In which regime it lives: each column holds a quarter of the flight, from the lowest to the highest values "
+        "of the signal. Coloured: the unmodelled force or torque is larger there than over the whole flight (full colour: "
+        "twice as large).",
+    )
 
 
 def _float(value: float | None) -> float:
@@ -267,6 +290,36 @@ def _added(report: Report, content: Mapping[str, Any]) -> None:
         report.table(
             ["candidate", "weight"], [[c["name"], _percent(c["weight"])] for c in a["candidates"]], numeric=(1,)
         )
+        fly = a["separating_manoeuvre"]
+        if isinstance(fly, Mapping):
+            _manoeuvre(report, fly)
+
+
+def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
+    """What to fly so that the candidates part."""
+    report.paragraph(
+        "What tells them apart: every manoeuvre below was flown in simulation with each candidate as the truth. Listed is "
+        "the log likelihood ratio that the other candidates are expected to lose, after the manoeuvre, whatever they bend "
+        "within what these flights allow (5 is BIC 10), and the time to get there at that rate."
+    )
+    rows: list[list[Cell]] = [
+        [
+            m["text"], f"{number(m['amplitude'], 3)} {m['unit']}" if m["unit"] else "", number(m["seconds"], 3),
+            number(m["expected_log_likelihood_ratio"], 3),
+            "never" if m["seconds_to_bic_10"] is None else number(m["seconds_to_bic_10"], 2),
+        ]
+        for m in (fly, *fly.get("runners_up", ()))
+    ]  # fmt: skip
+    report.table(["manoeuvre", "amplitude", "seconds", "expected ratio", "seconds to BIC 10"], rows, numeric=(2, 3, 4))
+
+
+def _withheld(report: Report, content: Mapping[str, Any]) -> None:
+    rows = content.get("withheld", [])
+    if not rows:
+        return
+    report.section("What was not given a name")
+    report.paragraph("These effects passed the tests and the refit, but not what a name must stand up to afterwards.")
+    report.table(["effect", "why"], [[_list(w["effects"]), w["reason"]] for w in rows])
 
 
 def _gap(report: Report, content: Mapping[str, Any]) -> None:
@@ -302,6 +355,8 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
         caption="RMS of the error's vector norm (rotation: geodesic angle).",
     )
     body: list[list[Cell]] = []
+    more = {"with_proposals": "closed with the proposed laws", "attainable": "closed by a learned part alone"}
+    more = {k: text for k, text in more.items() if any(r.get(k) is not None for r in rows)}
     for r in rows:
         interval = "" if r["ci95"] is None else " .. ".join(_percent(v) for v in r["ci95"])
         body.append(
@@ -309,11 +364,12 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
                 r["group"].replace("_", " "), "1 sample" if r["horizon_s"] == 0 else f"{r['horizon_s']:g} s",
                 number(r["before"]), number(r["after"]), number(r["floor"]), r["unit"],
                 None if r["closed"] is None else _percent(r["closed"]), interval,
+                *(None if r.get(k) is None else _percent(r[k]) for k in more),
             ]
         )  # fmt: skip
-    heads = ["group", "ahead", "before", "after", "floor", "unit", "closed", "95 % interval"]
+    heads = ["group", "ahead", "before", "after", "floor", "unit", "closed", "95 % interval", *more.values()]
     report.table(
-        heads, body, numeric=(1, 2, 3, 4, 6, 7),
+        heads, body, numeric=(1, 2, 3, 4, *range(6, len(heads))),
         caption="closed = 1 - (after\N{SUPERSCRIPT TWO} - floor\N{SUPERSCRIPT TWO}) / (before\N{SUPERSCRIPT TWO} - "
         "floor\N{SUPERSCRIPT TWO}); empty where the model was at the floor before. Block bootstrap.",
     )  # fmt: skip
@@ -348,11 +404,16 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             "be wrong, and then it can be shown to be wrong."
         )
     if content["ambiguous"]:
-        texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
+        told = [
+            a["separating_manoeuvre"] for a in content["ambiguous"] if isinstance(a["separating_manoeuvre"], Mapping)
+        ]
+        texts += [f"Fly what tells the candidates apart: {m['text']}." for m in told]
+        if len(told) < len(content["ambiguous"]):
+            texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
     if content["unnamed"]:
         texts.append(
-            "The laws that were found are proposals: write the one that makes sense as an effect (docs/own_effect.md) and "
-            "run again with --effects-file, or let greybox learn take what is left over."
+            "The laws that were found are proposals, written as effect files beside this page: edit what makes sense "
+            "(docs/own_effect.md) and run again with --effects-file proposal_1.py, or let greybox learn take what is left."
         )
     after = content["deficiency"]["after"]
     if after is not None and after > CLEAR and not content["unnamed"]:

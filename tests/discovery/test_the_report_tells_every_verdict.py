@@ -83,6 +83,8 @@ def tree(page: str) -> ElementTree.Element:
 @pytest.mark.parametrize("verdict", list(ANSWERS))
 def test_every_verdict_has_a_page_that_says_it(verdict: str):
     given = content(verdict)
+    if given["ambiguous"]:
+        given["ambiguous"][0]["separating_manoeuvre"] = told()
     schema = json.loads(resources.files("greybox.schemas").joinpath("discovery.json").read_text())
     jsonschema.validate(given, schema)
     page = discover_report(given)
@@ -111,6 +113,56 @@ def test_what_was_not_judged_and_not_seen_is_said():
 def test_a_group_shows_its_weights_and_a_law_its_terms():
     assert "70 %" in discover_report(content("ambiguous"))
     assert "-0.1 velocity.x" in discover_report(content("unnamed")).replace("\N{MINUS SIGN}", "-")
+
+
+def told() -> dict[str, Any]:
+    """A manoeuvre that separates two candidates."""
+    one = {
+        "name": "turn", "text": "fly to and fro while turning", "amplitude": 2.0, "unit": "rad/s", "seconds": 6.0,
+        "expected_log_likelihood_ratio": 41.5, "seconds_to_bic_10": 0.7,
+    }  # fmt: skip
+    other = {**one, "text": "hover", "unit": "", "expected_log_likelihood_ratio": 0.0, "seconds_to_bic_10": None}
+    return {**one, "runners_up": [other]}
+
+
+def test_an_ambiguous_answer_says_what_to_fly_and_what_it_will_tell():
+    given = content("ambiguous")
+    given["ambiguous"][0]["separating_manoeuvre"] = told()
+    page = discover_report(given)
+    for text in ("Fly what tells the candidates apart: fly to and fro while turning", "41.5", "2 rad/s", "never"):
+        assert text in page
+
+
+def test_names_that_were_taken_back_stand_with_their_reason():
+    given = content("unnamed") | {
+        "withheld": [
+            {"effects": ["gyro_bias"], "reason": "errors ahead do not shrink", "loglik_gain": 3.0, "ahead_gain": 0.0}
+        ]
+    }
+    page = discover_report(given)
+    assert "What was not given a name" in page
+    assert "errors ahead do not shrink" in page
+    assert "proposal_1.py" in page
+    assert "What was not given a name" not in discover_report(content())
+
+
+def test_the_attainable_line_and_the_proposals_stand_in_the_gap_table_when_they_are_known():
+    given = content("unnamed")
+    given["gap"][1] |= {"with_proposals": 0.83, "attainable": 0.71}
+    page = discover_report(given)
+    for text in ("closed with the proposed laws", "83 %", "closed by a learned part alone", "71 %"):
+        assert text in page
+    assert "learned part alone" not in discover_report(content("unnamed"))
+
+
+def test_the_map_of_regimes_is_drawn_where_something_is_missing():
+    regime = {"signal": "speed", "unit": "m/s", "edges": [0.0, 0.5, 1.0, 2.0, 4.0], "ratio": [[0.5, 0.8, 1.0, 1.6]] * 6}
+    given = content() | {"regimes": [regime]}
+    page = discover_report(given)
+    tree(page)
+    assert "quarters of speed" in page
+    clean = content("nothing_missing") | {"regimes": [regime]}
+    assert "quarters of speed" not in discover_report(clean)
 
 
 def test_faults_stand_first():
