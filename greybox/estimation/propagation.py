@@ -14,7 +14,7 @@ in the error state it hardly depends on the path.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,41 +81,56 @@ class Propagator:
 
         Raises `FitError` where a prediction stops being finite.
         """
-        engine, record = self.engine, filtered.record
-        rows = np.asarray(origins) + 1
-        m, nd, na = len(rows), engine.nd, len(engine.active)
-        if m and rows.max() + horizon > record.n:
-            raise FitError("an origin has fewer samples after it than the horizon")
-        states = np.ascontiguousarray(filtered.states[rows])
-        white = np.repeat(filtered.state_covariance[None], m, axis=0)
-        learned = np.zeros((m, nd, 0 if self._learned is None else self._learned.count))
-        start = np.zeros((m, nd, na + nd))
-        start[:, :, na:] = np.eye(nd)
-        for h in range(1, horizon + 1):
-            at = rows + h - 1
-            found = transitions(engine, states, at, record.inputs, filtered.p, record.dt, start)
-            assert found.end_sensitivity is not None
-            assert found.sensitivity is not None
-            # `found` describes the output at this sample and the state after it.
-            c, direct = found.sensitivity[:, :, na:], found.sensitivity[:, :, :na]
-            bias = start[:, :, :na]
-            push = None
-            if self._learned is not None:
-                push = self._learned.spread(states, record.inputs, at, engine)
-            total = white + learned @ learned.transpose(0, 2, 1) + bias @ self.spread @ bias.transpose(0, 2, 1)
-            inner = c @ white @ c.transpose(0, 2, 1) + self.seen
-            # `sensitivity` already holds ex S + ep for the parameter columns.
-            inner = inner + direct @ self.spread @ direct.transpose(0, 2, 1)
-            if push is not None and self._learned is not None:
-                now = c @ learned - self.through[:, self._learned.rows] * push[:, None, :]
+        return (ahead for (ahead,) in run_together([self], filtered, origins, horizon))
+
+
+def run_together(
+    propagators: Sequence[Propagator], filtered: Filtered, origins: npt.NDArray[np.int_], horizon: int
+) -> Iterator[list[Ahead]]:
+    """As `Propagator.run` for several propagators of one filter, which share the path: one list per h = 1 .. horizon.
+
+    The first propagator has the parameters that any other has.
+    """
+    first = propagators[0]
+    engine, record = first.engine, filtered.record
+    rows = np.asarray(origins) + 1
+    m, nd, na = len(rows), engine.nd, len(engine.active)
+    if m and rows.max() + horizon > record.n:
+        raise FitError("an origin has fewer samples after it than the horizon")
+    states = np.ascontiguousarray(filtered.states[rows])
+    spreads = [p._learned for p in propagators if p._learned is not None]
+    white = [np.repeat(filtered.state_covariance[None], m, axis=0) for _ in propagators]
+    learned = np.zeros((m, nd, spreads[0].count if spreads else 0))
+    start = np.zeros((m, nd, na + nd))
+    start[:, :, na:] = np.eye(nd)
+    for h in range(1, horizon + 1):
+        at = rows + h - 1
+        found = transitions(engine, states, at, record.inputs, filtered.p, record.dt, start)
+        assert found.end_sensitivity is not None
+        assert found.sensitivity is not None
+        # `found` describes the output at this sample and the state after it.
+        c, direct = found.sensitivity[:, :, na:], found.sensitivity[:, :, :na]
+        a, bias = found.end_sensitivity[:, :, na:], start[:, :, :na]
+        push = spreads[0].spread(states, record.inputs, at, engine) if spreads else np.zeros((m, 0))
+        into = first.push[:, spreads[0].rows] if spreads else np.zeros((nd, 0))
+        through = first.through[:, spreads[0].rows] if spreads else np.zeros((len(first.through), 0))
+        now = c @ learned - through * push[:, None, :]
+        out = []
+        for i, p in enumerate(propagators):
+            total, inner = white[i], c @ white[i] @ c.transpose(0, 2, 1) + p.seen
+            if p.spread.size:
+                total = total + bias @ p.spread @ bias.transpose(0, 2, 1)
+                # `sensitivity` already holds ex S + ep for the parameter columns.
+                inner = inner + direct @ p.spread @ direct.transpose(0, 2, 1)
+            if p._learned is not None:
+                total = total + learned @ learned.transpose(0, 2, 1)
                 inner = inner + now @ now.transpose(0, 2, 1)
-            yield Ahead(h=h, states=states, covariance=total, innovation_covariance=inner)
-            a = found.end_sensitivity[:, :, na:]
-            white = a @ white @ a.transpose(0, 2, 1) + self.noise
-            if push is not None and self._learned is not None:
-                learned = a @ learned + self.push[:, self._learned.rows] * push[:, None, :]
-            start[:, :, :na] = found.end_sensitivity[:, :, :na]
-            states = found.ends
+            out.append(Ahead(h=h, states=states, covariance=total, innovation_covariance=inner))
+            white[i] = a @ white[i] @ a.transpose(0, 2, 1) + p.noise
+        yield out
+        learned = a @ learned + into * push[:, None, :]
+        start[:, :, :na] = found.end_sensitivity[:, :, :na]
+        states = found.ends
 
 
 def _parameter_covariance(model: IdentifiedModel, extra: Mapping[str, float]) -> tuple[tuple[str, ...], FloatArray]:

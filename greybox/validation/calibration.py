@@ -28,7 +28,7 @@ import scipy.stats
 from greybox.data import Dataset
 from greybox.errors import DataError, FitError
 from greybox.estimation.filtering import Filter, Filtered
-from greybox.estimation.propagation import Propagator
+from greybox.estimation.propagation import Propagator, run_together
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from greybox.validation.new_flight import GRID, new_flight_factor
@@ -154,12 +154,12 @@ class _Parts:
     def errors(self, filtered: Filtered, origins: npt.NDArray[np.int_], horizons: Sequence[int]) -> list[_Errors]:
         """Per horizon and channel block; nothing where a prediction is not finite."""
         try:
-            runs = [list(p.run(filtered, origins, max(horizons))) for p in self.propagators]
+            runs = list(run_together(self.propagators, filtered, origins, max(horizons)))
         except FitError:
             return []
         found = []
         for h in horizons:
-            at = [r[h - 1] for r in runs]
+            at = runs[h - 1]
             e = _errors(self.runner, filtered, at[0].states, origins + h)
             seen = filtered.record.mask[origins + h] != 0
             for label, rows in self.blocks.items():
