@@ -11,6 +11,7 @@ residuals over that of the full process, and the smallest ratio of the variances
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -142,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", metavar="FILE")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
-    for set_ in (real(options.rows), *simulated(options.seeds, options.rows)):
+    for set_ in itertools.chain([real(options.rows)], simulated(options.seeds, options.rows)):
         found = judged(set_, options.points)
         rows += found
         for row in found:
