@@ -144,9 +144,10 @@ def _whole(cell: Cell, seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:
-    """One line, in one write, on the disk when this returns."""
+    """One line, in one write, on the disk when this returns; a line that was cut off before it stays alone."""
+    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
     with path.open("a") as stream:
-        stream.write(json.dumps(row) + "\n")
+        stream.write(("" if whole else "\n") + json.dumps(row) + "\n")
         stream.flush()
         os.fsync(stream.fileno())
 
