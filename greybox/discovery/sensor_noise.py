@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.stats
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
@@ -34,11 +35,15 @@ FILTER = 0.004
 """Start value of the filter's time constant [s]."""
 START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
 """Sensors whose noise may be coloured: start values of correlation times [s]."""
+WITNESS = {"accelerometer": {"velocity", "position"}, "gyro": {"attitude"}}
+"""Sensors whose colour cannot be told from force or torque unless one of these sees the motion too."""
 PREDICTABLE = 0.005
 """Share of an innovation's variance that its own past must explain for its sensor to be suspected."""
 WHITE = 1e-4
 """Level of the test of whiteness, per channel."""
 LAGS = 20
+LINE, SHARP = 1.0, 1e-6
+"""Start value of a line's decay time [s]; probability of so high a peak of the periodogram by chance."""
 SILENT = 7.0
 """Logarithm by which a level falls where a part is tried without."""
 TOLERANCE = 1e-3
@@ -83,7 +88,10 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     if not parts or any(p.kind == "low_pass" for p in had):
         return None
     filtered = with_parts(nest, (*had, *parts))
-    now = filtered.refit(at.effects, start=at)
+    # A filter delays slow signals by its time constant; noise levels of the better fit are the nearer start.
+    late = rival.fit.parameters["sensor_delay.d"].value if "sensor_delay" in rival.effects else FILTER
+    first: dict[tuple[str, str | None], float] = {(f"{p.name}.T", None): max(late, 0.25 * FILTER) for p in parts}
+    now = filtered.refit(at.effects, start=rival, first=first)
     if not now.bic < min(rival.bic, at.bic - CLEAR):
         return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
@@ -99,10 +107,15 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
     if not suspicious(lean):
         return None
     physics: Any = white(lean.model.dynamics)
-    sensors = [s.name for s in physics.sensors if s.name in START]
+    there = {s.name for s in physics.sensors}
+    sensors = [s.name for s in physics.sensors if s.name in START and WITNESS.get(s.name, there) & there]
     parts = tuple(NoisePart(sensor=s, kind="coloured", time=START[s]) for s in sensors)
     if "gyro" in sensors:
         parts = (*parts, NoisePart(sensor="gyro", kind="drift"))
+    parts += tuple(
+        NoisePart(sensor=s, kind="line", time=LINE, frequency=f)
+        for s in sensors if (f := _line(lean, s)) is not None
+    )  # fmt: skip
     best = _coloured(had, parts, data, lean, lean)
     gains = {p.name: _gain(best, p) for p in parts}
     while parts and min(gains.values()) <= CLEAR:
@@ -113,7 +126,7 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
             return None
         best = _coloured(had, parts, data, lean, best)
         gains = {p.name: _gain(best, p) for p in parts}
-    found = tuple(replace(p, time=_time(best, p)) for p in parts)
+    found = tuple(replace(p, time=_time(best, p), frequency=_frequency(best, p)) for p in parts)
     levels = {n: v for n, v in noise_of(best.model).items() if not n.startswith("noise.process.disturbance.")}
     return Suspected(parts=(*had, *found), gains=gains, noise=levels)
 
@@ -152,9 +165,10 @@ def suspicious(fitted: Fit) -> tuple[str, ...]:
 def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]]:
     """One entry per channel and kind, as in discovery.json: {channel, kind, parameters, delta_bic}.
 
-    `parameters`: `sigma` of the white part; `sigma` (standard deviation of the noise) and `T` of a coloured one; `sigma`
-    (after one second) of a drift; `T` and `cutoff` [Hz] of a low-pass; `delay` [s] of sensor_delay and pose_delay, which
-    are named effects as well. `delta_bic` is that of the whole part (all channels of its sensor), None for white noise.
+    `parameters`: `sigma` of the white part; `sigma` (standard deviation of the noise) and `T` of a coloured one; the same
+    and `frequency` [Hz] of a line; `sigma` (after one second) of a drift; `T`, `cutoff` [Hz] and `sigma` (noise in front of
+    it) of a low-pass; `delay` [s] of sensor_delay and pose_delay, which are named effects as well. `delta_bic` is that of
+    the whole part (all channels of its sensor; a filter's is that of gyro and accelerometer together), None for white.
     """
     dynamics: Any = fitted.model.dynamics
     noise = {n: v for n, (v, _, _) in fitted.noise.items()}
@@ -173,12 +187,14 @@ def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]
                 numbers: dict[str, float | None]
                 if part.kind == "low_pass":
                     time = float(values[f"{part.name}.T"])
-                    numbers = {"T": time, "cutoff": 1 / (2 * np.pi * time)}
+                    numbers = {"T": time, "cutoff": 1 / (2 * np.pi * time), "sigma": level}
                 elif part.kind == "drift":
                     numbers = {"sigma": level / np.sqrt(dt)}
                 else:
                     time = float(values[f"{part.name}.T"])
                     numbers = {"sigma": level / np.sqrt(1 - np.exp(-2 * dt / time)), "T": time}
+                    if part.kind == "line":
+                        numbers["frequency"] = float(values[f"{part.name}.f"])
                 out.append(_entry(c, part.kind, numbers, gains.get(part.name)))
     for effect, late in (
         ("pose_delay", ("position", "velocity", "attitude")),
@@ -204,6 +220,7 @@ def _coloured(had: Sequence[NoisePart], parts: Sequence[NoisePart], data: Datase
     dynamics: Any = SensorNoise(inner=inner, parts=(*had, *parts)) if (*had, *parts) else inner
     groups = tuple(g for g in ("force", "torque") if any(n.startswith(g + ".") for n in inner.noises.names))
     free = [f"disturbance.{g}.T" for g in groups] + [f"{p.name}.T" for p in parts if p.kind != "drift"]
+    free += [f"{p.name}.f" for p in parts if p.kind == "line"]
     names = {f"noise.process.{n}" for n in dynamics.noises.names}
     names |= {f"noise.process.disturbance.{n}" for n in dynamics.noises.names if n.split(".")[0] in groups}
     known = {n: v for n, v in noise_of(start.model).items() if n.startswith("noise.sensor.") or n in names}
@@ -233,6 +250,34 @@ def _time(fitted: Fit, part: NoisePart) -> float:
     return part.time if part.kind == "drift" else float(fitted.model.values[f"{part.name}.T"])
 
 
+def _frequency(fitted: Fit, part: NoisePart) -> float:
+    return float(fitted.model.values[f"{part.name}.f"]) if part.kind == "line" else part.frequency
+
+
+def _line(fitted: Fit, sensor: str) -> float | None:
+    """Frequency [Hz] of a peak that stands out of the periodogram of the sensor's innovations, relative to its neighbours.
+
+    Periodogram ordinates of a smooth spectrum are exponential about their local mean (Fisher 1929, Proc. Royal Society A
+    125); those of the sensor's components and of all records are added.
+    """
+    names = list(fitted.model.dynamics.innovations.names)
+    rows = [names.index(n) for n in _components(fitted, NoisePart(sensor=sensor, kind="line"))]
+    records = [np.nan_to_num(e[:, rows]) for es in fitted.innovations.values() for e in es]
+    length = min((len(e) for e in records if len(e) > 4 * LAGS), default=0)
+    records = [e[:length] for e in records if length and len(e) >= length]
+    if not records:
+        return None
+    power = sum((np.abs(np.fft.rfft(e, axis=0)[1:]) ** 2 / np.sum(e * e, axis=0)).sum(axis=1) for e in records)
+    count = len(records) * len(rows)
+    local = np.array([np.median(power[max(0, i - LAGS) : i + LAGS + 1]) for i in range(len(power))])
+    shape = scipy.stats.gamma(count)
+    relative = power / local * shape.median()
+    best = int(np.argmax(relative))
+    if len(power) * shape.sf(relative[best]) > SHARP:
+        return None
+    return float((best + 1) / (length * fitted.model.sample_time))
+
+
 def _gain(fitted: Fit, part: NoisePart) -> float:
     """How much BIC loses when the part's noise is white instead, or is not there at all, whichever is better."""
     problem, theta = fitted.problem, fitted.theta
@@ -240,16 +285,19 @@ def _gain(fitted: Fit, part: NoisePart) -> float:
     decay = 0.0 if part.kind == "drift" else float(np.exp(-2 * problem.dt / _time(fitted, part)))
     count = 0
     for component in _components(fitted, part):
-        own = problem.place(f"noise.process.{part.name}.c.{component.split('.')[-1]}")
+        end = component.split(".")[-1]
+        levels = [problem.place(f"noise.process.{part.name}.{letter}.{end}") for letter in ("c", "s")]
         plain = problem.place(f"noise.sensor.{component}")
-        if own is None:
-            continue
-        count += 1
-        for trial in (silent, whitened):
-            trial[own] = max(problem.lower[own], theta[own] - SILENT)
-        if plain is not None:
+        for at in levels:
+            if at is None:
+                continue
+            count += 1
+            for trial in (silent, whitened):
+                trial[at] = max(problem.lower[at], theta[at] - SILENT)
+        own = levels[0]
+        if plain is not None and own is not None:
             variance = np.exp(2 * theta[own]) / (1 - decay)
             whitened[plain] = 0.5 * np.log(np.exp(2 * theta[plain]) + variance)
-    free = count + (part.kind != "drift")
+    free = count + {"drift": 0, "line": 2}.get(part.kind, 1)
     best = min(problem.evaluate(t, 0).likelihood for t in (silent, whitened))
     return float(2 * (best + fitted.loglik) - free * np.log(max(fitted.n_samples, 1)))

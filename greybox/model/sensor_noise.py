@@ -6,7 +6,8 @@ is what tells it from a disturbance of force or torque, which reaches every sens
     coloured   c+ = exp(-dt/T) c + w, first-order Gauss-Markov noise
     drift      c+ = c + w, a random walk
     line       (c, s)+ = exp(-dt/T) R(2 pi f dt) (c, s) + w, a narrow line at f [Hz], as rotors leave it
-    low_pass   the reading r of a first-order filter with time constant T, exact for readings linear over a sample
+    low_pass   a first-order filter with time constant T, exact for readings that are linear over a sample; of the
+               reading and of noise w in front of the filter
 
 (Bryson and Johansen 1965, IEEE Trans. Automatic Control 10(1): coloured measurement noise as states of the filter;
 El-Sheimy, Hou and Niu 2008, IEEE Trans. Instrumentation and Measurement 57(1): what noise inertial sensors have.)
@@ -85,11 +86,9 @@ class SensorNoise:
             e, y = e + ne, y + ny
         return out
 
-    def _signals(self, prefix: str, *, noise: bool = False) -> list[Signal]:
+    def _signals(self, prefix: str) -> list[Signal]:
         out = []
         for part in self.parts:
-            if noise and part.kind == "low_pass":
-                continue
             rows, _ = self._rows[part.sensor]
             for letter in ("c", "s") if part.kind == "line" else ("c",):
                 for i in rows:
@@ -115,8 +114,8 @@ class SensorNoise:
 
     @cached_property
     def noises(self) -> Layout:
-        """Inner noises, then what drives the parts (a filter has no noise of its own)."""
-        return Layout([*self.inner.noises.signals, *self._signals("", noise=True)])
+        """Inner noises, then what drives the parts."""
+        return Layout([*self.inner.noises.signals, *self._signals("")])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -126,7 +125,7 @@ class SensorNoise:
             if part.kind != "drift":
                 own.append(
                     Parameter(
-                        name=f"{part.name}.T", unit="s", nominal=part.time, lower=0.001, upper=5.0, scale=part.time,
+                        name=f"{part.name}.T", unit="s", nominal=part.time, lower=0.001, upper=1.0, scale=part.time,
                         meaning=f"time constant, {part.kind} {part.sensor}",
                     )
                 )  # fmt: skip
@@ -203,11 +202,10 @@ class SensorNoise:
             if part.kind == "low_pass":
                 if reading is None:
                     reading = self.inner.output(t, xi, window, self._p(p), self._w(w), dt)
-                r = reading[list(self._rows[part.sensor][1])]
+                r = reading[list(self._rows[part.sensor][1])] + w[at : at + size]
                 keep, new, old = _filter(values[f"{part.name}.T"], dt)
-                after.append(keep * (c + new * r) + old * r)
-                continue
-            if part.kind == "drift":
+                c = keep * (c + new * r) + old * r
+            elif part.kind == "drift":
                 c = c + w[at : at + size]
             else:
                 decay = ca.exp(-dt / values[f"{part.name}.T"])
@@ -224,11 +222,14 @@ class SensorNoise:
         """Inner outputs, those of filtered sensors through their filter."""
         xi, own = self._split(x)
         y = self.inner.output(t, xi, window, self._p(p), self._w(w), dt)
-        values, readings = self._own(p), {}
+        values, readings, at = self._own(p), {}, len(self.inner.noises)
         for part in self.parts:
+            size = own[part.name].shape[0]
             if part.kind == "low_pass":
                 _, new, _ = _filter(values[f"{part.name}.T"], dt)
-                readings[part.sensor] = own[part.name] + new * y[list(self._rows[part.sensor][1])]
+                r = y[list(self._rows[part.sensor][1])] + w[at : at + size]
+                readings[part.sensor] = own[part.name] + new * r
+            at += size
         return self._shown(y, readings)
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
@@ -296,10 +297,8 @@ class SensorNoise:
         """Inner scales; each part as much as the white noise of its sensor, a drift a hundredth of it per sample."""
         white, own = self.inner.sensor_scale(), []
         for part in self.parts:
-            if part.kind == "low_pass":
-                continue
             level = white[list(self._rows[part.sensor][0])]
-            share = 0.01 if part.kind == "drift" else float(np.sqrt(1 - np.exp(-2 * dt / part.time)))
+            share = {"drift": 0.01, "low_pass": 1.0}.get(part.kind, float(np.sqrt(1 - np.exp(-2 * dt / part.time))))
             own.append(share * (np.concatenate([level, level]) if part.kind == "line" else level))
         return np.concatenate([self.inner.noise_scale(dt), *own])
 
