@@ -119,13 +119,15 @@ def first_order(model: Exported) -> Any:
     arguments, names = [*given.values(), result], [*given, "out_x_next"]
     blocks = [f"jac_x_next_{name}" for name in given]
     whole = {"enable_forward": False, "enable_reverse": False, "never_inline": True}
-    # One NaN per block is enough to spoil every product with it and costs nothing.
+    # One NaN per block, where the slopes do change, spoils every product with it and costs nothing.
     second, labels = [], []
-    for block, size in zip(blocks, sizes.values()):
-        for name, argument in zip(names, arguments):
-            shape = (n * size, argument.numel())
-            empty = name == "out_x_next" or 0 in shape
-            second.append(ca.MX(*shape) if empty else ca.MX(ca.DM(ca.Sparsity.triplet(*shape, [0], [0]), [np.nan])))
+    for i, (block, size) in enumerate(zip(blocks, sizes.values())):
+        for j, (name, argument) in enumerate(zip(names, arguments)):
+            pattern = slopes.jac_sparsity(1 + i, j) if j < len(sizes) else ca.Sparsity(n * size, n)
+            entry = [v[:1] for v in pattern.get_triplet()]
+            second.append(
+                ca.MX(ca.DM(ca.Sparsity.triplet(n * size, argument.numel(), *entry), [np.nan] * len(entry[0])))
+            )
             labels.append(f"jac_{block}_{name}")
     results = [ca.MX.sym(f"out_{block}", n, size) for block, size in zip(blocks, sizes.values())]
     of_slopes = ca.Function(

@@ -9,6 +9,7 @@ always inside; a binary for this platform is, when a C compiler and the FMI head
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import importlib.util
 import os
 import re
@@ -42,9 +43,7 @@ def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
     headers = _headers()
     with tempfile.TemporaryDirectory(prefix="fmu-") as folder, contextlib.chdir(folder):
         files = builder.export_fmu({"no_warning": True, "with_serialization": False})
-        description = Path("modelDescription.xml")
-        text = description.read_text(encoding="utf-8")
-        description.write_text(re.sub(r' generationDateAndTime="[^"]*"', "", text, count=1), encoding="utf-8")
+        _settle(Path("modelDescription.xml"), [Path(local) for local in files])
         binary = headers is not None and shutil.which("gcc") is not None
         if binary:
             files = builder.compile_fmu(files, {"include_dirs": [str(headers)]})
@@ -55,6 +54,19 @@ def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, Path(local).read_bytes())
     return {"file": path.name, "binary": binary}
+
+
+def _settle(description: Path, files: list[Path]) -> None:
+    """Take the date out, and replace the random token by a digest of the model, wherever it stands."""
+    text = re.sub(r' generationDateAndTime="[^"]*"', "", description.read_text(encoding="utf-8"), count=1)
+    description.write_text(text, encoding="utf-8")
+    found = re.search(r'instantiationToken="([^"]*)"', text)
+    if found is None:
+        return
+    texts = {path: path.read_text(encoding="utf-8").replace(found[1], "TOKEN") for path in sorted(files)}
+    digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:32]
+    for path, settled in texts.items():
+        path.write_text(settled.replace("TOKEN", digest), encoding="utf-8")
 
 
 def _headers() -> Path | None:

@@ -81,8 +81,7 @@ def main() -> None:
     difference = float(np.abs(inputs - solve(model, task)[1]).max())
     deviation = float(np.sqrt(learned.current_variance.max()))
     if arguments.json:
-        torch = any(name.split(".")[0] in ("torch", "gpytorch") for name in sys.modules)
-        print(json.dumps({"difference": difference, "iterations": len(sizes), "last": sizes[-1], "torch": torch}))
+        print(json.dumps({"difference": difference, "iterations": len(sizes), "last": sizes[-1]}))
     else:
         print(f"{len(sizes)} iterations, last change {sizes[-1]:.1e}; largest difference to IPOPT {difference:.1e}")
         print(f"largest standard deviation of the residual along the horizon: {deviation:.2g}")

@@ -1,0 +1,84 @@
+"""Targets of an export: what each adds, that it stands alone, and what is refused."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greybox.errors import ModelError, UnknownNameError
+from mpc_export.bundle import ExportBundle, write_bundle
+from mpc_export.exported import load, of
+from mpc_export.functions import model_functions
+from mpc_export.targets import COMMON, EXAMPLES, MODULES
+from tests.mpc_export import cases, consumers
+
+ROOT = Path(__file__).resolve().parents[2] / "mpc_export"
+CARRIED = [ROOT / f"{m}.py" for m in (*COMMON, *MODULES.values()) if m]
+CARRIED += [ROOT / "examples" / f"{e}.py" for e in EXAMPLES.values()]
+
+
+@pytest.mark.parametrize("path", CARRIED, ids=lambda p: p.name)
+def test_what_a_bundle_carries_imports_nothing_of_ours(path):
+    allowed = sys.stdlib_module_names | {"casadi", "numpy", "consumers", "acados_template", "do_mpc", "rockit", "fmpy"}
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in typing_only:
+            continue
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+        assert {n.split(".")[0] for n in names} <= allowed, f"{path.name}: {names}"
+
+
+def test_a_bundle_lists_its_targets_and_carries_their_scripts():
+    folder = consumers.bundle("hybrid")
+    bundle = ExportBundle.load(folder)
+    said = bundle.manifest["targets_written"]
+    assert set(said) == set(EXAMPLES)
+    for target, entry in said.items():
+        assert entry["example"] == f"examples/{EXAMPLES[target]}.py"
+        assert (folder / entry["example"]).is_file()
+        assert f"python {entry['example']}" in (folder / "README.md").read_text(encoding="utf-8")
+    assert said["acados"]["f_expl_difference"]["rotor.1"] > 0
+    assert "nominal" in bundle.manifest["groups"], "l4acados brings the group that it needs"
+
+
+@pytest.mark.parametrize("kind", ["physics", "hybrid"])
+def test_a_loaded_bundle_is_the_model_that_was_exported(kind):
+    runtime = ("mass",) if kind == "physics" else ()
+    model = {"physics": cases.physics, "hybrid": cases.hybrid}[kind]()
+    own, loaded = of(model_functions(model, runtime_parameters=runtime), f"{kind}_model"), load(consumers.bundle(kind))
+    for name in ("name", "dt", "states", "error_states", "inputs", "outputs", "parameters", "units", "own_states"):
+        assert getattr(loaded, name) == getattr(own, name), name
+    arrays = ("parameter_values", "reference_state", "reference_inputs", "lower", "upper", "state_scale", "input_scale")
+    for name in arrays:
+        np.testing.assert_allclose(getattr(loaded, name), getattr(own, name), rtol=1e-15, err_msg=name)
+    assert set(own.functions) <= set(loaded.functions)
+    x, u, p = own.reference_state + 0.01, own.reference_inputs, own.parameter_values
+    np.testing.assert_allclose(loaded["f_d"](x, u, p).full(), own["f_d"](x, u, p).full(), atol=1e-14)
+
+
+def test_the_history_of_a_held_command_is_that_command():
+    model = load(consumers.bundle("physics"))
+    whole = model.with_history(np.arange(model.own_states), [10.0, 20.0, 30.0, 40.0]).full().ravel()
+    assert whole[model.states.index("history.u3.2")] == 30.0
+    assert whole[: model.own_states].tolist() == list(range(model.own_states))
+
+
+def test_unknown_functions_and_targets_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="has no function nothing"):
+        load(consumers.bundle("physics"))["nothing"]
+    with pytest.raises(UnknownNameError, match="do-mpc"):
+        write_bundle(cases.physics(), tmp_path / "b", targets=("do_mpc",), use_cache=False)
+    with pytest.raises(ModelError, match="learned part"):
+        write_bundle(cases.physics(), tmp_path / "b", targets=("l4acados",), use_cache=False)
+    assert not (tmp_path / "b").exists()
