@@ -66,9 +66,14 @@ def cache_dir() -> Path:
 
 
 def build(
-    sources: Sequence[tuple[str, str, Sequence[str]]], rewrite: Mapping[str, Callable[[str], str]] | None = None
+    sources: Sequence[tuple[str, str, Sequence[str]]],
+    rewrite: Mapping[str, Callable[[str], str]] | None = None,
+    *,
+    link: Sequence[str] = (),
 ) -> Path:
-    """Shared library of C sources [(name, text, flags)]. Raises `BuildError` with the compiler's first complaint.
+    """Shared library of C sources [(name, text, flags)] linked with the flags `link`.
+
+    Raises `BuildError` with the compiler's first complaint.
 
     `rewrite` turns the text of a named source into what is compiled. The key of the cache is the text before it, so
     that nothing is rewritten when the library is there.
@@ -79,6 +84,8 @@ def build(
     digest = hashlib.sha256(_version(cc).encode())
     for name, text, flags in sources:
         digest.update(f"\0{name}\0{' '.join(flags)}\0{text}".encode())
+    if link:
+        digest.update(f"\0{' '.join(link)}".encode())
     target = cache_dir() / f"{digest.hexdigest()}.so"
     if target.exists():
         return target
@@ -97,7 +104,7 @@ def build(
                 raise BuildError(f"the C compiler failed: {complaint.strip().splitlines()[:1]}", where=cc)
         library = str(Path(folder) / "out.so")
         done = subprocess.run(
-            [cc, "-shared", "-o", library, *objects, "-lm"], capture_output=True, text=True, check=False
+            [cc, "-shared", "-o", library, *objects, *link, "-lm"], capture_output=True, text=True, check=False
         )
         if done.returncode:
             raise BuildError(f"linking failed: {done.stderr.strip().splitlines()[:1]}", where=cc)

@@ -1,0 +1,22 @@
+"""A CasADi function as compiled C inside CasADi: the same call, without the virtual machine."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from greybox.estimation.build import build
+from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
+
+
+def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
+    """`function` compiled (cached by content) and loaded. Raises `BuildError` without a C compiler."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = write_c([function], Path(folder), prefix="native", kernels=kernels)
+        text = made.source.read_text().replace('#include "native.h"\n', made.header.read_text())
+    library = build([("native.c", text, (*FAST_FLAGS, "-fPIC"))])
+    return ca.external(made.functions[0].symbol, str(library))

@@ -1,0 +1,71 @@
+"""TubeProblem: what the controller is asked to do, in plain numbers. The equations are in stages.py and controller.c."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from greybox.errors import ModelError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Weights of the tracking cost, 0.5 (weight x error)^2 per stage.
+
+    position [1/m], velocity [s/m], yaw [1/rad], rate [s/rad], command (distance from the steady command) and change of the
+    command per sample, both per unit of command.
+    """
+
+    position: float = 8.0
+    velocity: float = 1.5
+    yaw: float = 2.0
+    rate: float = 0.3
+    command: float = 0.6
+    change: float = 3.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value >= 0):
+                raise ModelError(f"weight {name} must be finite and not negative", got=f"{value:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeProblem:
+    """Horizon, weights and limits of the controller.
+
+    dt [s]: sample time of plan and controller; horizon: stages; planes: how many position constraints a stage has room
+    for. command_min, command_max and rate_max (change per sample) bound every command and are hard; planes and tilt_max
+    [rad] are soft with an exact penalty: `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
+    feedback: whether the ancillary gain acts inside the tube; without it the covariance is that of an open loop. kind:
+    "probabilistic" (covariances, back-off = kappa standard deviations) or "worst case" (ellipsoids that hold
+    every disturbance inside its own ellipsoid; back-off = their half width).
+    """
+
+    dt: float = 0.02
+    horizon: int = 20
+    planes: int = 4
+    weights: Weights = field(default_factory=Weights)
+    command_min: float = 0.05
+    command_max: float = 0.95
+    rate_max: float = 0.25
+    tilt_max: float = 0.85
+    penalty: float = 400.0
+    penalty_square: float = 400.0
+    feedback: bool = True
+    kind: str = "probabilistic"
+
+    def __post_init__(self) -> None:
+        checks: Mapping[str, bool] = {
+            "dt must be positive": math.isfinite(self.dt) and self.dt > 0,
+            "the horizon has at least 2 stages": self.horizon >= 2,
+            "planes must not be negative": self.planes >= 0,
+            "command_min must be below command_max": self.command_min < self.command_max,
+            "rate_max must be positive": self.rate_max > 0,
+            "tilt_max lies between 0 and pi": 0 < self.tilt_max < math.pi,
+            "penalties must not be negative": self.penalty >= 0 and self.penalty_square >= 0,
+            'kind is "probabilistic" or "worst case"': self.kind in ("probabilistic", "worst case"),
+        }
+        for text, good in checks.items():
+            if not good:
+                raise ModelError(f"controller: {text}")

@@ -1,0 +1,185 @@
+"""The controller's solver: stage functions and controller.c compiled into one library, HPIPM for the QP, called by ctypes.
+
+HPIPM and BLASFEO (Frison and Diehl 2020, IFAC-PapersOnLine 53(2)) come with CasADi's wheel, libraries and headers alike.
+Memory is taken once, when a solver is made; a step takes none. One solver serves one thread.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.estimation.build import BuildError, build
+from greybox.symbolic import FloatArray
+from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
+from mpc_export.functions import ModelFunctions
+from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.stages import Stages, stages
+
+_SCALARS = (
+    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "seconds", "seconds_linear", "seconds_tube",
+    "seconds_qp",
+)  # fmt: skip
+
+
+def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
+    """Members of tube_data in controller.c, in its order, with their shapes (last index fastest)."""
+    stages_, nl = n["N"] + 1, n["NPL"] + 1
+    one: tuple[int, ...] = ()
+    return [
+        ("x0", (n["NX"],)), ("u_before", (n["NU"],)), ("p", (max(n["NP"], 1),)), ("ref", (n["N"], n["NREF"])),
+        ("x_end", (n["NX"],)), ("plane", (stages_, n["NPL"], 4)), ("u_min", (n["NU"],)), ("u_max", (n["NU"],)),
+        ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one), ("penalty", one), ("penalty_square", one),
+        ("Z0", (n["ND"], n["ND"])), ("tolerance", one), ("qp_tolerance", one), ("damping", one),
+        ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one), ("x", (stages_, n["NX"])),
+        ("u", (n["N"], n["NU"])), ("covariance", (stages_, n["ND"], n["ND"])), ("backoff", (stages_, nl)),
+        ("backoff_u", (n["N"], n["NU"])), ("slack", (stages_, nl)), *((s, one) for s in _SCALARS),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not solved.
+
+    kkt: residual of the KKT conditions with the multipliers of the last QP (infinite where it was not asked for);
+    step: largest change of the last iteration; times in seconds.
+    """
+
+    status: int
+    cost: float
+    kkt: float
+    step: float
+    iterations: int
+    qp_iterations: int
+    qp_status: int
+    seconds: float
+    seconds_linear: float
+    seconds_tube: float
+    seconds_qp: float
+
+
+class TubeSolver:
+    """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write, call, read.
+
+    Raises `BuildError` without a C compiler or where HPIPM is not with CasADi, `ModelError` from `stages`.
+    """
+
+    def __init__(
+        self,
+        model: ModelFunctions,
+        problem: TubeProblem,
+        *,
+        kernels: Sequence[CKernel] = (),
+        white: bool = False,
+    ) -> None:
+        self.model, self.problem = model, problem
+        self.stages: Stages = stages(model, problem, white=white)
+        n = model.sizes
+        self.sizes = {
+            "N": problem.horizon, "NX": n["n_x"], "ND": n["n_d"], "NU": n["n_u"], "NP": n["n_p"],
+            "NK": len(self.stages.keep), "NPL": problem.planes, "NREF": 7 + n["n_u"], "NGP": n["n_g"],
+            "NTH": n["n_theta"], "NFREE": len(self.stages.free),
+        }  # fmt: skip
+        self._library = ctypes.CDLL(str(_compiled(self.sizes, self.stages, kernels)))
+        self._library.tube_create.restype = ctypes.c_void_p
+        self._library.tube_data_size.restype = ctypes.c_size_t
+        self._library.tube_free.argtypes = [ctypes.c_void_p]
+        self._library.tube_solve.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+        fields = _fields(self.sizes)
+        total = sum(int(np.prod(shape)) for _, shape in fields)
+        if 8 * total != self._library.tube_data_size():
+            raise BuildError("tube_data in controller.c is not what solver.py describes")
+        self._buffer = np.zeros(total)
+        self.data: dict[str, FloatArray] = {}
+        at = 0
+        for name, shape in fields:
+            size = int(np.prod(shape))
+            self.data[name] = self._buffer[at : at + size].reshape(shape)
+            at += size
+        self._solver = self._library.tube_create()
+        if not self._solver:
+            raise MemoryError("no memory for the controller")
+        self.reset()
+
+    def __del__(self) -> None:
+        if getattr(self, "_solver", None):
+            self._library.tube_free(self._solver)
+            self._solver = None
+
+    def reset(self) -> None:
+        """Back to hover at the origin, no planes, no tightening, one iteration per call."""
+        d, problem = self.data, self.problem
+        self._buffer[:] = 0.0
+        x, u = self.stages.steady
+        d["x0"][:], d["x_end"][:], d["x"][:] = x, x, x
+        d["u"][:], d["u_before"][:] = u, u
+        d["ref"][:, 7:] = u
+        d["p"][: self.sizes["NP"]] = self.model.parameter_values
+        d["plane"][..., 3] = 1.0
+        d["u_min"][:], d["u_max"][:] = problem.command_min, problem.command_max
+        d["rate_max"][:] = problem.rate_max
+        d["penalty"][()], d["penalty_square"][()] = problem.penalty, problem.penalty_square
+        d["tolerance"][()], d["qp_tolerance"][()] = 1e-6, 1e-6
+        d["iterations_max"][()], d["qp_iterations_max"][()], d["tube_updates_max"][()] = 1, 40, 1
+
+    def solve(self) -> Outcome:
+        """Iterate from the plan in `data`; the new plan stands there afterwards."""
+        status = self._library.tube_solve(self._solver, self._buffer.ctypes.data)
+        v = {name: self.data[name][()] for name in _SCALARS}
+        whole = ("iterations", "qp_iterations", "qp_status")
+        numbers: dict[str, Any] = {k: int(x) if k in whole else float(x) for k, x in v.items()}
+        return Outcome(status=status, **numbers)
+
+
+def hpipm() -> tuple[Path, Path]:
+    """(headers, libraries) of HPIPM as CasADi's wheel has them. Raises `BuildError`."""
+    root = Path(ca.__file__).parent
+    include = root / "include"
+    if not (include / "hpipm_d_ocp_qp.h").exists() or not list(root.glob("libhpipm.*")):
+        raise BuildError(
+            "this CasADi comes without HPIPM", fix="install casadi from PyPI, or use the CasADi or acados solver"
+        )
+    return include, root
+
+
+def _compiled(sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]) -> Path:
+    include, libraries = hpipm()
+    with tempfile.TemporaryDirectory() as folder:
+        source = write_c(list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels)
+        model, header = source.source.read_text(), source.header.read_text()
+    works = {
+        "ARG": max(f.sz_arg for f in source.functions), "RES": max(f.sz_res for f in source.functions),
+        "IW": max(1, *(f.sz_iw for f in source.functions)), "W": max(1, *(f.sz_w for f in source.functions)),
+    }  # fmt: skip
+    lines = [f"#define {k} {v}" for k, v in sizes.items()]
+    lines += [f"#define {k}1 {max(1, sizes[k])}" for k in ("NP", "NGP", "NTH", "NFREE")]
+    lines += [f"#define TUBE_{k} {v}" for k, v in works.items()]
+    lines += [
+        f"#define TUBE_KEEP {{{', '.join(map(str, made.keep))}}}",
+        f"#define TUBE_FREE {{{', '.join(map(str, made.free or (0,)))}}}",
+        f"#define TUBE_GAIN {{{', '.join(repr(float(v)) for v in made.gain.ravel(order='F'))}}}",
+    ]
+    driver = (Path(__file__).parent / "controller.c").read_text()
+    headers = {"tube_model.h": header, "tube_sizes.h": "\n".join(lines) + "\n"}
+    for name, text in headers.items():
+        driver = driver.replace(f'#include "{name}"\n', text)
+    model = model.replace('#include "tube_model.h"\n', header)
+    return build(
+        [
+            ("tube_model.c", model, (*FAST_FLAGS, "-fPIC")),
+            ("controller.c", driver, (*_flags(), "-fPIC", f"-I{include}")),
+        ],
+        link=(f"-L{libraries}", "-lhpipm", "-lblasfeo", f"-Wl,-rpath,{libraries}"),
+    )
+
+
+def _flags() -> Iterator[str]:
+    yield from FAST_FLAGS
+    yield from ("-Wall", "-Wextra")

@@ -1,0 +1,269 @@
+"""Stage functions of the controller as CasADi functions: dynamics, cost, limits, tube.
+
+Error coordinates are those of the exported model (x = x_plan boxplus d). The tracking residual of a stage is
+
+    r = (w_p (position - reference), w_v (velocity - reference), w_psi sin(psi - reference) cos(theta),
+         w_omega omega, w_u (u - u_steady), w_du (u - u_before)),      cost = 0.5 r'r,      Hessian = J'J (Gauss-Newton),
+
+and the last stage costs 0.5 e'P e, e the error state against the reference state, P the solution of the discrete
+Riccati equation at hover, which bounds the cost of the linear feedback from there on (Rawlings, Mayne and Diehl, Model
+Predictive Control, 2017, section 2.5.2). The tube: with the estimate x_hat = x - e_hat, e_hat of covariance P_f (the
+filter's, stationary), and u = u_plan + K (x_hat - x_plan),
+
+    total = P_f + Z + c c' + b Cov(theta) b',
+    Z+ = (A + B K) Z (A + B K)' + W,    W = A P_f A' + Q - P_f,     Z = 0 where the plan starts at the estimate,
+    c+ = (A + B K) c + B_d sd_g,        b+ = (A + B K) b + df_d/dtheta.
+
+W is what the filter's innovations move the estimate by (separation of estimation and control; Anderson and Moore 1979,
+chapter 5). Errors of the learned function (standard deviation sd_g) and of the parameters theta stay the same over a
+horizon and are consider states (Schmidt 1966), not noise that is fresh at every step. In the worst case the sums are
+outer ellipsoids with the least trace: E(X) + E(Y) inside E((1 + 1/a) X + (1 + a) Y), a = sqrt(tr X / tr Y) (Kurzhanski and
+Valyi 1997, section 2.7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+
+from greybox.errors import ModelError
+from greybox.frames import rotation_matrix
+from greybox.symbolic import Expr, FloatArray
+from mpc_export.functions import ModelFunctions
+from mpc_export.tube.problem import TubeProblem
+
+NEEDED = ("position", "velocity", "attitude", "rate")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stages:
+    """The functions by name, and what was computed once.
+
+    keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of the disturbances;
+    gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate P_f and fresh W (n_d, n_d).
+    """
+
+    functions: Mapping[str, Any]
+    keep: tuple[int, ...]
+    free: tuple[int, ...]
+    gain: FloatArray
+    terminal: FloatArray
+    steady: tuple[FloatArray, FloatArray]
+    estimate: FloatArray
+    fresh: FloatArray
+
+
+def stages(model: ModelFunctions, problem: TubeProblem, *, white: bool = False) -> Stages:
+    """Stage functions for a model exported at the controller's sample time with groups "covariance" and "target".
+
+    white: treat the learned function's error as noise that is fresh at every step, for comparison. Raises `ModelError` for a
+    model that has no position, velocity, attitude and rates.
+    """
+    _check(model, problem)
+    x_steady, u_steady = _hover(model)
+    keep = tuple(i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance."))
+    free = tuple(_block(model, "disturbance"))
+    _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
+    q, r = _weights(model, problem)
+    gain = _lqr(a, b, q, r)
+    if not problem.feedback:
+        gain = np.zeros_like(gain)
+    rows = np.array(keep)
+    terminal = scipy.linalg.solve_discrete_are(a[np.ix_(rows, rows)], b[rows], q[np.ix_(rows, rows)], r)
+    estimate = model.noise.covariance
+    fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate)
+    made = [
+        _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
+        _limits(model, problem, keep), _spread(model, problem, gain, estimate, fresh, white),
+    ]  # fmt: skip
+    return Stages(
+        functions={f.name(): f for f in made}, keep=keep, free=free, gain=gain, terminal=terminal,
+        steady=(x_steady, u_steady), estimate=estimate, fresh=fresh,
+    )  # fmt: skip
+
+
+def _check(model: ModelFunctions, problem: TubeProblem) -> None:
+    names = model.states.names
+    missing = [n for n in NEEDED if not any(s.startswith(f"{n}.") for s in names)]
+    if missing:
+        raise ModelError(
+            f"the controller needs a model with {', '.join(missing)}", got=model.name,
+            fix="fit on flights with pose or position and attitude",
+        )  # fmt: skip
+    if abs(model.dt - problem.dt) > 1e-9:
+        raise ModelError(
+            "model and controller differ in sample time", expected=f"{problem.dt:g}", got=f"{model.dt:g} s"
+        )
+    for name in ("consider_step", "target_step"):
+        if name not in model.functions:
+            raise ModelError(
+                f"the model was exported without {name}", fix='model_functions(..., with_=("covariance", "target"))'
+            )
+
+
+def _hover(model: ModelFunctions) -> tuple[FloatArray, FloatArray]:
+    """Level hover at the origin without disturbances."""
+    x, u = (np.array(v, dtype=float) for v in model.reference)
+    names = model.states.names
+    for i, n in enumerate(names):
+        if n.startswith(("disturbance.", "position.", "velocity.", "rate.", "attitude.")):
+            x[i] = float(n == "attitude.w")
+    goal = np.zeros(len(model.targets))
+    for _ in range(30):
+        x, u, residual = (v.full().ravel() for v in model["target_step"](x, u, model.parameter_values, goal))
+        if residual[0] < 1e-10:
+            break
+    else:
+        raise ModelError("the model has no steady hover", got=f"condition missed by {residual[0]:.2g}")
+    return x, u
+
+
+def _block(model: ModelFunctions, name: str, *, error: bool = False) -> list[int]:
+    layout = model.error_states if error else model.states
+    prefix = f"d_{name}." if error else f"{name}."
+    return [i for i, n in enumerate(layout.names) if n.startswith(prefix)]
+
+
+def _weights(model: ModelFunctions, problem: TubeProblem) -> tuple[FloatArray, FloatArray]:
+    """Stage cost about hover as Q (n_d, n_d) and R (n_u, n_u)."""
+    w = problem.weights
+    q = np.full(len(model.error_states), 1e-6)
+    for name, weight in (("position", w.position), ("velocity", w.velocity), ("rate", w.rate)):
+        q[_block(model, name, error=True)] += weight**2
+    q[_block(model, "attitude", error=True)[2]] += w.yaw**2
+    r = np.full(len(model.inputs), w.command**2 + w.change**2 + 1e-9)
+    return np.diag(q), np.diag(r)
+
+
+def _lqr(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
+    """K with u = K d. Disturbances cannot be steered but decay, so that the equation has its stabilising solution."""
+    p = scipy.linalg.solve_discrete_are(a, b, q, r)
+    return np.asarray(-np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a))
+
+
+def _positive(m: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(0.5 * (m + m.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _arguments(model: ModelFunctions) -> tuple[Expr, Expr, Expr]:
+    n = model.sizes
+    return ca.MX.sym("x", n["n_x"]), ca.MX.sym("u", n["n_u"]), ca.MX.sym("p", n["n_p"])
+
+
+def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
+    """(x, u, p) -> next state, A, B of what the plan may change."""
+    x, u, p = _arguments(model)
+    after, a, b, _ = model["f_d_jac"](x, u, p)
+    rows = list(keep)
+    return ca.Function("tube_linear", [x, u, p], [after, ca.densify(a[rows, rows]), ca.densify(b[rows, :])])
+
+
+def _charts(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Any, Any]:
+    n = model.sizes
+    x, y, d = ca.MX.sym("x", n["n_x"]), ca.MX.sym("y", n["n_x"]), ca.MX.sym("d", len(keep))
+    spread = ca.DM(n["n_d"], len(keep))
+    for j, i in enumerate(keep):
+        spread[i, j] = 1.0
+    gap = model["boxminus"](x, y)[list(keep)]
+    moved = model["boxplus"](x, ca.densify(spread @ d))
+    return ca.Function("tube_gap", [x, y], [ca.densify(gap)]), ca.Function("tube_move", [x, d], [moved])
+
+
+def _moved(model: ModelFunctions, keep: tuple[int, ...]) -> tuple[Expr, Expr, Expr]:
+    """(x, d, x boxplus d) as SX, d (n_k)."""
+    x, d = ca.SX.sym("x", len(model.states)), ca.SX.sym("d", len(keep))
+    full = ca.SX.zeros(len(model.error_states))
+    for j, i in enumerate(keep):
+        full[i] = d[j]
+    return x, d, model.sampled.boxplus(x, full)
+
+
+def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
+    """(x, u, u_before, ref) -> cost and its derivatives in (d, u_before, u); ref = position, velocity, psi, u_steady."""
+    w = problem.weights
+    x, d, moved = _moved(model, keep)
+    nu = len(model.inputs)
+    u, before, ref = ca.SX.sym("u", nu), ca.SX.sym("v", nu), ca.SX.sym("ref", 7 + nu)
+    turn = rotation_matrix(moved[_block(model, "attitude")])
+    heading = ca.cos(ref[6]) * turn[1, 0] - ca.sin(ref[6]) * turn[0, 0]
+    residual = ca.vertcat(
+        w.position * (moved[_block(model, "position")] - ref[:3]),
+        w.velocity * (moved[_block(model, "velocity")] - ref[3:6]),
+        w.yaw * heading,
+        w.rate * moved[_block(model, "rate")],
+        w.command * (u - ref[7:]),
+        w.change * (u - before),
+    )
+    return _squares("tube_cost", [x, u, before, ref], residual, (d, before, u), d)
+
+
+def _squares(name: str, arguments: list[Expr], residual: Expr, by: tuple[Expr, ...], at_zero: Expr) -> Any:
+    """Value, gradient and Gauss-Newton Hessian of 0.5 r'r in `by`, at `at_zero` = 0."""
+    jacobian = ca.horzcat(*(ca.jacobian(residual, v) for v in by))
+    value, slope = ca.substitute([residual, jacobian], [at_zero], [ca.DM.zeros(at_zero.shape)])
+    found = ca.cse([0.5 * ca.sumsqr(value), slope.T @ value, slope.T @ slope])
+    return ca.Function(name, arguments, [ca.densify(v) for v in found])
+
+
+def _end(model: ModelFunctions, keep: tuple[int, ...], terminal: FloatArray) -> Any:
+    """(x, x_end) -> terminal cost and its derivatives in d."""
+    x, d, moved = _moved(model, keep)
+    goal = ca.SX.sym("goal", len(model.states))
+    error = model.sampled.boxminus(moved, goal)[list(keep)]
+    root = np.linalg.cholesky(terminal + 1e-12 * np.eye(len(keep)))
+    return _squares("tube_end", [x, goal], ca.DM(root.T) @ error, (d,), d)
+
+
+def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) -> Any:
+    """(x, planes (4, n)) -> values that must not be positive, and their Jacobian in d: planes, then tilt."""
+    x, d, moved = _moved(model, keep)
+    planes = ca.SX.sym("planes", 4, problem.planes)
+    place = moved[_block(model, "position")]
+    turn = rotation_matrix(moved[_block(model, "attitude")])
+    rows = [ca.dot(planes[:3, j], place) - planes[3, j] for j in range(problem.planes)]
+    values = ca.vertcat(*rows, np.cos(problem.tilt_max) - turn[2, 2])
+    found = ca.substitute([values, ca.jacobian(values, d)], [d], [ca.DM.zeros(d.shape)])
+    return ca.Function("tube_limits", [x, planes], [ca.densify(v) for v in found])
+
+
+def _spread(
+    model: ModelFunctions, problem: TubeProblem, gain: FloatArray, estimate: FloatArray, fresh: FloatArray, white: bool
+) -> Any:
+    """(x, u, p, Z, c, b) -> total, Z+, c+, b+; see the note at the top of the file."""
+    n = model.sizes
+    nd, ng, nt = n["n_d"], n["n_g"], n["n_theta"]
+    x, u, p = _arguments(model)
+    z = ca.MX.sym("Z", nd, nd)
+    c, b = ca.MX.sym("c", nd, ng), ca.MX.sym("b", nd, nt)
+    _, a, by_u, _ = model["f_d_jac"](x, u, p)
+    closed = a + by_u @ ca.DM(gain)
+    total = ca.DM(estimate) + z
+    after = closed @ z @ closed.T
+    added = ca.DM(fresh)
+    c_next, b_next = c, b
+    if ng:
+        variance = ca.fmax(model["gp_variance"](model["gp_features_raw"](x, u, p)[0], p), 0.0)
+        through = model["B_d"](x, u, p)
+        push = through * ca.repmat(ca.sqrt(variance).T, nd, 1)
+        if white:
+            added = added + push @ push.T
+        else:
+            total = total + c @ c.T
+            c_next = closed @ c + push
+    if nt:
+        total = total + b @ ca.DM(model.covariance) @ b.T
+        b_next = closed @ b + model["P_theta"](x, u, p)
+    if problem.kind == "worst case":
+        ratio = ca.sqrt(ca.trace(after) / ca.fmax(ca.trace(added), 1e-30))
+        # at the start there is nothing to add to
+        some = ca.trace(after) > 0
+        z_next = ca.if_else(some, (1 + 1 / ca.fmax(ratio, 1e-12)) * after + (1 + ratio) * added, added)
+    else:
+        z_next = after + added
+    return ca.Function("tube_spread", [x, u, p, z, c, b], [ca.densify(v) for v in (total, z_next, c_next, b_next)])

@@ -1,0 +1,106 @@
+"""The tube's covariance is that of a simulated loop of plant, identified filter and ancillary gain."""
+
+import numpy as np
+import pytest
+
+from mpc_export.functions import model_functions
+from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.solver import TubeSolver
+from mpc_export.tube.stages import stages
+from tests.mpc_export import cases
+
+
+@pytest.fixture(scope="module")
+def solver():
+    # at the model's own sample time, where filter and tube see the same steps
+    model = cases.disturbed()
+    functions = model_functions(model, with_=("covariance", "target"))
+    return TubeSolver(functions, TubeProblem(dt=functions.dt, horizon=12, planes=1))
+
+
+def hover(solver, parameters=True):
+    solver.reset()
+    d = solver.data
+    d["kappa"][:] = 1.0
+    d["plane"][:, 0] = [1.0, 0.0, 0.0, 1.0]
+    assert solver.solve().status == 0
+    return d
+
+
+def test_covariance_is_that_of_an_ensemble(solver):
+    d = hover(solver)
+    model, made = solver.model, solver.stages
+    x, u = made.steady
+    _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
+    k, n = model.noise.gain, 20_000
+    rng = np.random.default_rng(3)
+    # innovations are white and of covariance S; the estimate moves by K times them, and the error stays of covariance P
+    s = np.linalg.cholesky(model.noise.innovation)
+    away = np.zeros((n, a.shape[0]))
+    closed = a + b @ made.gain
+    root = np.linalg.cholesky(made.estimate + 1e-18 * np.eye(len(a)))
+    theta = np.linalg.cholesky(model.covariance) @ rng.standard_normal((len(model.covariance), n))
+    slope = model["P_theta"](x, u, model.parameter_values).full()
+    bias = np.zeros_like(away)
+    for stage in range(solver.problem.horizon + 1):
+        error = rng.standard_normal((n, len(a))) @ root.T
+        spread = (away + bias + error).std(axis=0)
+        stated = np.sqrt(np.diag(d["covariance"][stage]))
+        np.testing.assert_allclose(spread, stated, rtol=0.04, atol=1e-8)
+        away = away @ closed.T + rng.standard_normal((n, len(s))) @ s.T @ k.T
+        bias = bias @ closed.T + (slope @ theta).T
+
+
+def test_backoff_is_kappa_standard_deviations_along_the_normal(solver):
+    d = hover(solver)
+    at = solver.model.error_states.names.index("d_position.x")
+    np.testing.assert_allclose(d["backoff"][1:, 0], np.sqrt(d["covariance"][1:, at, at]), rtol=1e-9)
+    assert d["backoff"][0, 0] == 0.0
+
+
+def spread(made, model, steps):
+    """Covariances of the tube at hover, and the part of them that errors of the parameters make."""
+    x, u = made.steady
+    n = model.sizes
+    z, c, b = np.zeros((n["n_d"],) * 2), np.zeros((n["n_d"], n["n_g"])), np.zeros((n["n_d"], n["n_theta"]))
+    totals = []
+    for _ in range(steps + 1):
+        total, z, c, b_next = (v.full() for v in made.functions["tube_spread"](x, u, model.parameter_values, z, c, b))
+        totals.append(total)
+        last, b = b, b_next
+    return np.array(totals), last @ model.covariance @ last.T
+
+
+def test_recursion_in_c_and_in_casadi_are_one(solver):
+    totals, _ = spread(solver.stages, solver.model, 12)
+    np.testing.assert_allclose(hover(solver)["covariance"], totals, rtol=1e-9, atol=1e-15)
+
+
+def test_the_tube_grows_without_feedback_and_less_with_it(solver):
+    model = solver.model
+    free, _ = spread(stages(model, TubeProblem(dt=model.dt, feedback=False)), model, 60)
+    held, _ = spread(solver.stages, model, 60)
+    at = model.error_states.names.index("d_position.x")
+    assert np.all(np.diff(free[:, at, at]) > 0)
+    assert free[-1, at, at] > 1.5 * held[-1, at, at]
+
+
+def test_worst_case_ellipsoids_hold_every_sequence_of_bounded_disturbances(solver):
+    model = solver.model
+    made = stages(model, TubeProblem(dt=model.dt, kind="worst case"))
+    x, u = made.steady
+    _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
+    closed = a + b @ made.gain
+    values, vectors = np.linalg.eigh(made.fresh)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # the disturbances that push farthest along a direction at the end, each on its own ellipsoid
+    totals, by_parameters = spread(made, model, 12)
+    inner = totals[-1] - made.estimate - by_parameters
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        direction = rng.standard_normal(len(a))
+        reach, turn = 0.0, direction
+        for _ in range(12):
+            reach += np.linalg.norm(root.T @ turn)
+            turn = closed.T @ turn
+        assert reach <= np.sqrt(direction @ inner @ direction) * (1 + 1e-9)
