@@ -1,7 +1,8 @@
 """The demo: shipped real flights, end to end, through the command line that a user would type.
 
 Checks the logs, fits the Newton-Euler model to the training flights, validates on flights that the fit never saw with
-per-flight parameters adapted on their first five seconds, and writes one report.
+per-flight parameters adapted on their first five seconds, and writes a report. Then the story of a missing effect: what
+`greybox discover` finds in a simulated vehicle whose file does not know its rotors' drag.
 
     make demo      (or: python -m scenarios.studies.demo --out demo_out)
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from greybox.cli import main as greybox
 from scenarios.flights import nanobench_split, vehicle_path
+from scenarios.studies.discovery_story import main as tell
 from scenarios.studies.nanobench import options
 
 
@@ -38,6 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     if code == 2:
         return code
+    story = Path(arguments.out) / "missing_effect"
+    print("\n3. What is missing in a vehicle file? One effect is hidden in a simulated vehicle and looked for.")
+    tell(["--only", "one", "--out", str(story)])
+    print(f"\nThe story in pictures: {(story / 'one' / 'report.html').resolve()}")
     print(f"\nDone in {time.perf_counter() - began:.0f} s. Open {Path(arguments.out).resolve() / 'report.html'}")
     return code
 
