@@ -103,7 +103,7 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
         "withheld": content.get("withheld", []), "smallest_p": min((s.p_family for s in found.last_scores), default=1.0),
         "not_judged": {n: why for n, why in content["not_judged"].items() if n in truth}, "faults": content["faults"],
         "warnings": content["warnings"], "closed": None if most is None else [most["group"], most["closed"], *most["ci95"]],
-        "seconds": found.seconds,
+        "took": found.seconds,
     }  # fmt: skip
 
 
@@ -168,7 +168,7 @@ def _say(row: dict[str, Any]) -> None:
     print(
         f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['size']:6s} {row['seed']:5d} "
         f"{'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} {names or row.get('verdict', row.get('error'))} "
-        f"({row.get('seconds', 0):.0f} s)", flush=True,
+        f"({row.get("took", 0):.0f} s)", flush=True,
     )  # fmt: skip
 
 

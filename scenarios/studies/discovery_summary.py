@@ -138,8 +138,8 @@ def gap_and_time(rows: Sequence[Row]) -> list[str]:
             lines.append(
                 f"gap closed 0.5 s ahead, {size}: median {np.median(closed):.3f}, worst {min(closed):.3f} of {len(closed)}"
             )
-    for kind, members in _grouped([r for r in rows if "seconds" in r], lambda r: r["kind"]).items():
-        seconds = [r["seconds"] for r in members]
+    for kind, members in _grouped([r for r in rows if "took" in r], lambda r: r["kind"]).items():
+        seconds = [r["took"] for r in members]
         lines.append(f"seconds, {kind}: median {np.median(seconds):.1f}, longest {max(seconds):.1f}")
     return lines
 

@@ -71,7 +71,7 @@ def row(
     return {
         **cell.to_dict(), "kind": cell.kind, "seed": seed, "in_noise": 1.0 if hidden else None, "judged": judged,
         "effects": {n: {"k": [1.01, 0.02]} for n in names}, "truth": {f"{n}.k": 1.0 for n in hidden},
-        "p_values": [0.001] * len(names), "ambiguous": [], "unnamed": [], "closed": None, "seconds": 1.0,
+        "p_values": [0.001] * len(names), "ambiguous": [], "unnamed": [], "closed": None, "took": 1.0,
         "verdict": "named", **more,
     }  # fmt: skip
 
