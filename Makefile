@@ -4,11 +4,15 @@
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= demo_out
+COMMA := ,
 BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 # Training a GP needs PyTorch. Its CPU build is small, but there for Python 3.11 only; elsewhere pip would fetch CUDA, and
 # the tests that train are skipped.
 EXTRAS := $(shell $(PYTHON) -c 'import sys; print("test,dev,gp" if sys.version_info < (3, 12) else "test,dev")')
+# CONSUMERS=1 also installs do-mpc, rockit and FMPy, with which exports are tried; without them those tests are skipped.
+CONSUMERS ?=
+override EXTRAS := $(EXTRAS)$(if $(CONSUMERS),$(COMMA)consumers)
 JOBS ?= 2
 
 # Small matrices: one BLAS thread is faster than many, and the results do not depend on the machine.
@@ -34,7 +38,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 test: lint
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -rs
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile
