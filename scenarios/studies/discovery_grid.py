@@ -168,7 +168,7 @@ def _say(row: dict[str, Any]) -> None:
     print(
         f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['size']:6s} {row['seed']:5d} "
         f"{'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} {names or row.get('verdict', row.get('error'))} "
-        f"({row.get("took", 0):.0f} s)", flush=True,
+        f"({row.get('took', 0):.0f} s)", flush=True,
     )  # fmt: skip
 
 
