@@ -81,7 +81,10 @@ def solve(model: Exported, problem: Hover) -> tuple[Array, Array]:
     for k in range(n):
         cost += stage_cost(model, problem, states[k], inputs[k])
         gaps.append(states[k + 1] - model["f_d"](states[k], inputs[k], model.parameter_values))
-    options = {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0}, "print_time": False}
+    options: dict[str, Any] = {
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0},
+        "print_time": False,
+    }
     problem_ = {"x": ca.vertcat(*states, *inputs), "f": cost, "g": ca.vertcat(*gaps)}
     solver = ca.nlpsol("hover", "ipopt", problem_, options)
     free = np.full(n * nx, np.inf)

@@ -56,8 +56,8 @@ def licences(with_c: bool) -> dict[str, str]:
     """File name -> text."""
     head, body = MIT.split("\n\n", 1)
     own = (
-        "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and examples come from greybox:\n\n"
-        f"{head}\n\n"
+        "The wrapper, the self-test, the kernels of the learned part, rebuild.py, consumers and examples come from "
+        f"greybox:\n\n{head}\n\n"
     )
     out = {"greybox-MIT.txt": f"{own}{_copyright()}\n\n{body}"}
     if with_c:
