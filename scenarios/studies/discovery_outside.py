@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from typing import Any
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.workflow import Discovery, discover
+from greybox.model.vehicle import Vehicle, read_vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
@@ -32,7 +34,7 @@ from scenarios.plants.effects import PlantEffect
 from scenarios.plants.flight_log import fly, member
 from scenarios.plants.presets import controller_for, x250
 from scenarios.plants.quadrotor import Quadrotor
-from scenarios.studies.discovery_grid import vehicle_of
+from scenarios.plants.vehicle_file import write_vehicle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,8 @@ class Case:
     family: tuple[str, ...] = ()
 
 
+SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
+ERRORS = {"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1}
 LATERAL = ("force.x", "force.y")
 ROLL_PITCH = ("torque.x", "torque.y")
 TURNS = (*ROLL_PITCH, "torque.z")
@@ -72,6 +76,12 @@ CASES = {
 }  # fmt: skip
 
 
+def vehicle_of(plant: Quadrotor) -> Vehicle:
+    """What the file says of the plant: ten per cent off, with honest sigmas."""
+    with tempfile.TemporaryDirectory() as folder:
+        return read_vehicle(write_vehicle(Path(folder) / "v.toml", plant, sigma=SIGMA, errors=ERRORS))
+
+
 def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -> Dataset:
     """One flight per seed through random waypoints that also turn, without rotor speeds."""
     path = RandomWaypoints(yaw_swing=1.5)
@@ -92,7 +102,8 @@ def judge(found: Discovery, case: Case) -> dict[str, Any]:
     shares = [r.get("with_proposals") or r["closed"] for r in half if r["closed"] is not None]
     return {
         "verdict": found.verdict, "names": names,
-        "steps": [[s["added"], s["delta_bic"]] for s in content["steps"]], "wrong": [n for n in names if n not in case.family],
+        "steps": [[s["added"], s["delta_bic"]] for s in content["steps"]],
+        "wrong": [n for n in names if n not in case.family],
         "ambiguous": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
         "withheld": content.get("withheld", []), "flagged": flagged, "right_axis": any(a in case.axes for a in flagged),
         "deficiency": content["deficiency"], "unnamed": content["unnamed"], "gap": half,
