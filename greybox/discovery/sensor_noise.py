@@ -119,9 +119,13 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
     best = _coloured(had, parts, data, lean, lean)
     gains = {p.name: _gain(best, p) for p in parts}
     while parts and min(gains.values()) <= CLEAR:
-        # The bound says that they are not needed; the weakest goes first, as another may do its work.
-        weakest = min(gains, key=lambda n: gains[n])
-        parts = tuple(p for p in parts if p.name != weakest)
+        # The bound says that they are not needed. Of several on one sensor one stays for now: it may do the others' work.
+        strongest = {p.sensor: max(gains[o.name] for o in parts if o.sensor == p.sensor) for p in parts}
+        several = {p.sensor for p in parts if sum(o.sensor == p.sensor for o in parts) > 1}
+        parts = tuple(
+            p for p in parts
+            if gains[p.name] > CLEAR or (p.sensor in several and gains[p.name] == strongest[p.sensor] > 0)
+        )  # fmt: skip
         if not parts:
             return None
         best = _coloured(had, parts, data, lean, best)

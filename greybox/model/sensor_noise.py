@@ -280,18 +280,23 @@ class SensorNoise:
         return np.concatenate([self.inner.reference(means), *out])
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Inner start; noise starts at zero with the spread of the sensor's white noise, filters at their sensor."""
+        """Inner start; noise starts at zero with the spread of the sensor's white noise, a filter between nothing and all of
+        what its sensor shows first (its state is what the past adds to the reading)."""
         x0, sigma = self.inner.initial_state(start)
-        begin = []
+        spread = self._scales()
+        begin: list[FloatArray] = []
         for part in self.parts:
             rows, columns = self._rows[part.sensor]
             size = len(rows) * (2 if part.kind == "line" else 1)
             if part.kind == "low_pass":
                 first = [np.asarray(start.get(self.inner.outputs.names[i], [np.nan]))[:1] for i in columns]
-                begin.append(np.nan_to_num(np.concatenate(first)))
+                half = 0.5 * np.nan_to_num(np.concatenate(first))
+                at = sum(b.size for b in begin)
+                spread[at : at + half.size] = 10.0 * spread[at : at + half.size] + np.abs(half)
+                begin.append(half)
             else:
                 begin.append(np.zeros(size))
-        return np.concatenate([x0, *begin]), np.concatenate([sigma, self._scales()])
+        return np.concatenate([x0, *begin]), np.concatenate([sigma, spread])
 
     def noise_scale(self, dt: float) -> FloatArray:
         """Inner scales; each part as much as the white noise of its sensor, a drift a hundredth of it per sample."""
