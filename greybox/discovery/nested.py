@@ -37,6 +37,8 @@ from greybox.symbolic import FloatArray
 
 BLOCK_SECONDS = 0.5
 """Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
+RECENT = 16
+"""How many fits are remembered."""
 TOLERANCE = 1e-4
 """Where a fit stops: within about a hundredth of a standard error; the score tests project what is left off."""
 
@@ -172,6 +174,8 @@ class Nest:
     noise: Mapping[str, float] | None = None
     choices: Mapping[str, Any] = field(default_factory=dict)
     executor: concurrent.futures.Executor | None = None
+    recent: list[Refit] = field(default_factory=list)
+    """The last tasks that were carried out: a step that is decided again (a name was withheld) fits nothing twice."""
 
     def task(
         self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None
@@ -198,9 +202,15 @@ class Nest:
 
     def refits(self, tasks: Sequence[Task]) -> list[Refit]:
         """Carry out tasks, side by side where there is an executor. What cannot be sent runs here."""
-        if self.executor is None or len(tasks) < 2 or not all(map(_sendable, tasks)):
-            return [solve(t, self.data) for t in tasks]
-        return [f.result() for f in [self.executor.submit(solve, t, self.data) for t in tasks]]
+        known = {i: r for i, t in enumerate(tasks) for r in self.recent if r.task == t}
+        left = [i for i in range(len(tasks)) if i not in known]
+        if self.executor is None or len(left) < 2 or not all(_sendable(tasks[i]) for i in left):
+            new = [solve(tasks[i], self.data) for i in left]
+        else:
+            new = [f.result() for f in [self.executor.submit(solve, tasks[i], self.data) for i in left]]
+        self.recent[:] = [*self.recent, *new][-RECENT:]
+        known |= dict(zip(left, new, strict=True))
+        return [known[i] for i in range(len(tasks))]
 
     def settle(self, refit: Refit) -> NestedFit:
         """The whole result of a fit that was carried out as a task."""

@@ -91,3 +91,8 @@ def test_what_cannot_be_sent_runs_here(nest: Nest, tasks: list[Task], alone: lis
 def test_tasks_survive_the_wire(nest: Nest, tasks: list[Task], alone: list[Refit]):
     sent, data = pickle.loads(pickle.dumps((tasks[0], nest.data)))
     assert solve(sent, data).theta == alone[0].theta
+
+
+def test_nothing_is_fitted_twice_in_a_row(nest: Nest, tasks: list[Task], alone: list[Refit]):
+    again = nest.refits(tasks[::-1])
+    assert [a is b for a, b in zip(again, alone[::-1], strict=True)] == [True, True]
