@@ -5,8 +5,7 @@ With disturbance states in the model, the steady state that the disturbed model 
 
     boxminus(f_d(x, u), x) = 0  (without the disturbances, which the target takes as they are),   tracked(x) = r
 
-are solved by Newton steps in error coordinates, each scaled to typical sizes and solved by its normal equations with a
-tiny ridge: what they lose in digits the next step makes good, because the conditions themselves are evaluated exactly.
+are solved by Newton steps in error coordinates, each scaled to typical sizes and solved in the least-squares sense.
 A history of commands is at rest: every earlier command is the present one.
 """
 
@@ -21,11 +20,10 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.frames import euler_zyx
 from greybox.symbolic import Expr, Layout, Signal
-from mpc_export.dense import cholesky, cholesky_solve
 from mpc_export.sampled import Sampled
 
-RIDGE = 1e-12
-"""Added to the normal equations, whose largest diagonal entry is about one."""
+RIDGE = 1e-7
+"""Rows of this size times the identity stand under the conditions, whose own rows have length one."""
 SIZES = {"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0, "d_rotor": 0.3}
 
 
@@ -74,28 +72,26 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     r = ca.MX.sym("r", len(targets))
     # The history is that of the present command.
     order = [sampled.inputs[sampled.dynamics.inputs.names[i]] for i, _ in sampled.history]
-    still = ca.vertcat(x[: len(sampled.dynamics.states)], *(u[i] for i in order))
-    after, a, b, _ = functions["f_d_jac"](still, u, p)
     held = ca.DM(len(order), nu)
     for k, i in enumerate(order):
         held[k, i] = 1.0
+    still = ca.vertcat(x[: len(sampled.dynamics.states)], held @ u)
+    after, a, b, _ = functions["f_d_jac"](still, u, p)
     b = b + a[:, own:] @ held if order else b
     change = functions["boxminus"](after, still)
     # d boxminus(f_d(x+d), x+d)/dd, to first order at a small change.
     slope = (a - ca.DM.eye(nd))[moving, moving]
     y, c, d, _ = functions["h_jac_raw"](still, u, p)
-    sx, sy = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", y.numel())
+    sx, sy, sr = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", y.numel()), ca.SX.sym("r", len(targets))
     value = _held(sampled, targets, sx, sy)
     into, _ = sampled.chart(sx, sx)
-    hold = ca.Function(
-        "held", [sx, sy],
-        [ca.densify(v) for v in (value, ca.jacobian(value, sx) @ into[:, moving], ca.jacobian(value, sy), into[:, moving])],
-    )  # fmt: skip
-    there, by_state, by_output, chart = hold(still, y)
-    c, d = by_output @ c @ chart, by_output @ d
     # A heading is reached the short way round.
-    rows = [r[i] - there[i] for i in range(len(targets))]
-    missing = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n == "psi" else v for n, v in zip(targets.names, rows)))
+    rows = [sr[i] - value[i] for i in range(len(targets))]
+    away = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n == "psi" else v for n, v in zip(targets.names, rows)))
+    parts = (away, ca.jacobian(value, sx) @ into[:, moving], ca.jacobian(value, sy), into[:, moving])
+    hold = ca.Function("held", [sx, sy, sr], [ca.densify(v) for v in parts])
+    missing, by_state, by_output, chart = hold(still, y, r)
+    c, d = by_output @ c @ chart, by_output @ d
     rhs = ca.vertcat(-change[moving] / size, missing)
     top = ca.horzcat(slope, b[moving, :])
     top = top * ca.repmat(ca.DM(scale).T, len(moving), 1) / ca.repmat(ca.DM(size), 1, len(scale))
@@ -106,7 +102,7 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
         spread[i, k] = 1.0
     new_u = u + step[len(moving) :]
     new_x = functions["boxplus"](still, ca.densify(spread @ step[: len(moving)]))
-    new_x = ca.vertcat(new_x[: len(sampled.dynamics.states)], *(new_u[i] for i in order))
+    new_x = ca.vertcat(new_x[: len(sampled.dynamics.states)], held @ new_u)
     return ca.Function(
         "target_step", [x, u, p, r], [new_x, new_u, ca.mmax(ca.fabs(rhs))], ["x", "u", "p", "r"],
         ["x_next", "u_next", "residual"],
@@ -114,12 +110,25 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
 
 
 def _least_squares(rows: int, columns: int) -> Any:
-    """(J, r) -> the least-squares solution of J d = r, rows of J balanced first."""
+    """(J, r) -> the least-squares solution of J d = r, rows balanced first, with a tiny ridge under it.
+
+    Modified Gram-Schmidt of [J r], which is backward stable (Bjorck 1967, BIT 7), in whole columns.
+    """
     j, r = ca.MX.sym("J", rows, columns), ca.MX.sym("r", rows)
     weight = 1 / ca.sqrt(ca.sum2(j * j) + 1e-30)
-    j1, r1 = j * ca.repmat(weight, 1, columns), r * weight
-    m, v = ca.SX.sym("m", columns, columns), ca.SX.sym("v", columns)
-    solve = ca.Function(
-        "normal_equations", [m, v], [ca.densify(cholesky_solve(cholesky(m + RIDGE * ca.SX.eye(columns)), v))]
-    )
-    return ca.Function("least_squares", [j, r], [solve(j1.T @ j1, j1.T @ r1)])
+    top = ca.horzcat(j * ca.repmat(weight, 1, columns), r * weight)
+    m = ca.densify(ca.vertcat(top, ca.horzcat(RIDGE * ca.DM.eye(columns), ca.DM.zeros(columns, 1))))
+    upper = []
+    for k in range(columns):
+        q = m[:, k] / ca.norm_2(m[:, k])
+        upper.append(q.T @ m)
+        m = m - q @ upper[-1]
+    u = ca.SX.sym("R", columns, columns + 1)
+    x: list[Expr] = [ca.SX(0)] * columns
+    for i in reversed(range(columns)):
+        rest = u[i, columns]
+        for k in range(i + 1, columns):
+            rest = rest - u[i, k] * x[k]
+        x[i] = rest / u[i, i]
+    back = ca.Function("back_substitution", [u], [ca.vertcat(*x)])
+    return ca.Function("least_squares", [j, r], [back(ca.vertcat(*upper))])

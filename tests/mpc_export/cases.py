@@ -83,5 +83,6 @@ def point(functions, rng: np.random.Generator, spread: float = 1.0) -> dict[str,
         "S": root @ root.T, "K": 0.1 * rng.standard_normal((n["n_u"], n["n_d"])), "r": rng.standard_normal(n["n_r"]),
         "c": 0.01 * rng.standard_normal((n["n_d"], n["n_g"])), "b": rng.standard_normal((n["n_d"], n["n_theta"])),
         "lam": rng.standard_normal(n["n_x"]), "z": spread * rng.standard_normal(n["n_z"]),
-        "d": 0.1 * rng.standard_normal(n["n_d"]), "x1": x, "x2": x + 0.0 * x,
+        "d": 0.1 * rng.standard_normal(n["n_d"]), "x1": x,
+        "x2": functions["boxplus"](x, 0.1 * rng.standard_normal(n["n_d"])).full().ravel(),
     }  # fmt: skip

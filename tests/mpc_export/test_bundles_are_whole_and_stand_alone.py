@@ -1,0 +1,256 @@
+"""A bundle is written whole or not at all, only where it may be, says what it holds, and needs nothing of greybox."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.files import OutputError
+from mpc_export import bundle as bundle_module
+from mpc_export import verify
+from mpc_export.bundle import ExportBundle, write_bundle
+from mpc_export.points import reduced, with_points
+from tests.mpc_export import cases, compiled
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    folder = tmp_path / "cache" / "build"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(bundle_module, "cache_dir", lambda: folder)
+    return folder.parent / "export"
+
+
+@pytest.fixture(scope="module")
+def linear(tmp_path_factory):
+    return write_bundle(cases.linear(), tmp_path_factory.mktemp("linear") / "box", with_=("filter",), use_cache=False)
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("kind", ["linear", "hybrid"])
+def test_the_manifest_follows_its_schema_and_names_every_file(tmp_path, kind):
+    model = cases.linear() if kind == "linear" else cases.hybrid()
+    made = write_bundle(model, tmp_path / "b", use_cache=False)
+    jsonschema.validate(made.manifest, compiled.manifest_schema())
+    on_disk = {p.relative_to(made.folder).as_posix() for p in made.folder.rglob("*") if p.is_file()}
+    assert on_disk == {*made.manifest["files"], "manifest.json"}
+    names = {f["name"] for f in made.manifest["functions"]}
+    assert {f"golden/{n}.csv" for n in names} | {f"casadi/{n}.casadi" for n in names} <= on_disk
+    assert [s["name"] for s in made.manifest["states"]] == list(made.functions.states.names)
+    np.testing.assert_array_equal(made.manifest["noise"]["gain"], made.functions.noise.gain)
+    readme = (made.folder / "README.md").read_text()
+    assert all(f"`{n}`" in readme for n in names)
+    assert all(f"| {s['name']} |" in readme for s in made.manifest["states"])
+    assert (made.folder / "LICENSES" / "CasADi-MIT-0.txt").exists()
+
+
+def test_a_loaded_bundle_rebuilds_its_functions(linear):
+    back = ExportBundle.load(linear.folder)
+    f_d = back.rebuild(("f_d",))["f_d"]
+    x, u = linear.functions.reference
+    np.testing.assert_array_equal(f_d(x, u, []).full(), linear.functions["f_d"](x, u, []).full())
+
+
+def test_a_changed_file_is_noticed(tmp_path):
+    made = write_bundle(cases.linear(), tmp_path / "b", use_cache=False)
+    path = made.folder / "golden" / "f_d.csv"
+    path.write_text(path.read_text().replace("1", "2", 1))
+    with pytest.raises(FileFormatError, match=r"f_d\.csv"):
+        ExportBundle.load(made.folder)
+    manifest = json.loads((made.folder / "manifest.json").read_text())
+    (made.folder / "manifest.json").write_text(json.dumps({**manifest, "sample_time": 0.5}))
+    with pytest.raises(FileFormatError, match="checksum"):
+        ExportBundle.load(made.folder)
+
+
+def test_two_exports_are_the_same_bytes(tmp_path):
+    one = write_bundle(cases.physics(), tmp_path / "a" / "b", use_cache=False)
+    two = write_bundle(cases.physics(), tmp_path / "c" / "b", use_cache=False)
+    first, second = content(one.folder), content(two.folder)
+    assert first.keys() == second.keys()
+    assert [n for n in first if first[n] != second[n] and not n.startswith("casadi/") and n != "manifest.json"] == []
+
+
+def test_only_a_bundle_is_replaced(tmp_path):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, use_cache=False)
+    (place / "extra.txt").write_text("mine")
+    again = write_bundle(cases.linear((1, 0)), place, use_cache=False)
+    assert again.manifest["delay"]["history"] == {"u": 1}
+    assert not (place / "extra.txt").exists()
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    with pytest.raises(OutputError, match="something else"):
+        write_bundle(cases.linear(), other, name="b", use_cache=False)
+    assert content(other) == {"thesis.tex": b"years of work"}
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="not a folder"):
+        write_bundle(cases.linear(), tmp_path / "file", use_cache=False)
+    (tmp_path / "link").symlink_to(place)
+    with pytest.raises(OutputError, match="not a folder"):
+        write_bundle(cases.linear(), tmp_path / "link", use_cache=False)
+
+
+def test_a_failed_export_leaves_the_old_bundle_and_no_rubbish(tmp_path, monkeypatch):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, use_cache=False)
+    before = content(place)
+
+    def broken(manifest):
+        raise RuntimeError("disk on fire")
+
+    monkeypatch.setattr(bundle_module, "readme", broken)
+    with pytest.raises(RuntimeError):
+        write_bundle(cases.linear((1, 0)), place, use_cache=False)
+    assert content(place) == before
+    assert os.listdir(tmp_path) == ["b"]
+
+
+def test_the_second_export_comes_from_the_cache(tmp_path, cache):
+    first = write_bundle(cases.linear(), tmp_path / "b")
+    second = write_bundle(cases.linear(), tmp_path / "other" / "b")
+    assert (first.cached, second.cached) == (False, True)
+    assert content(first.folder) == content(second.folder)
+    assert not write_bundle(cases.linear(), tmp_path / "b", real="float").cached
+    assert not write_bundle(cases.linear((1, 0)), tmp_path / "b").cached
+    damaged = next(cache.iterdir())
+    for kept in cache.iterdir():
+        (kept / "README.md").write_text("rubbish")
+    assert damaged.exists()
+    assert not write_bundle(cases.linear(), tmp_path / "b").cached
+
+
+@pytest.mark.parametrize("name", ["9lives", "a-b", "float", "casadi_x", "", "a b", "é"])
+def test_names_that_c_does_not_take_are_refused(tmp_path, name):
+    with pytest.raises(ModelError, match="C identifier"):
+        write_bundle(cases.linear(), tmp_path / "b", name=name, use_cache=False)
+
+
+def test_unknown_targets_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(UnknownNameError, match="simulink"):
+        write_bundle(cases.linear(), tmp_path / "b", targets=("simulink",), use_cache=False)
+    assert os.listdir(tmp_path) == []
+
+
+def test_golden_vectors_reach_the_edge_and_far_outside(tmp_path):
+    made = write_bundle(cases.hybrid(), tmp_path / "b", targets=(), use_cache=False)
+    with open(made.folder / "golden" / "gp_distance.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    distance = [float(r["out.distance.0"]) for r in rows]
+    assert min(distance) < 0.7 and max(distance) > 0.99
+    with open(made.folder / "golden" / "f_d.csv", newline="") as stream:
+        last = list(csv.reader(stream))
+    assert last[0][0] == "in.x.0" and last[0][-1].startswith("out.x_next.")
+
+
+# ------------------------------------------------------------------------------------------------ the verifier
+
+
+def run_verifier(*arguments) -> subprocess.CompletedProcess[str]:
+    """As a user would, where neither greybox nor this repository can be imported."""
+    script = ROOT / "mpc_export" / "verify.py"
+    return subprocess.run(
+        [sys.executable, "-I", str(script), *map(str, arguments)], capture_output=True, text=True, check=False, cwd="/"
+    )
+
+
+def test_the_verifier_passes_a_good_bundle_and_finds_a_wrong_number(linear, tmp_path):
+    compiled.needs_compiler()
+    done = run_verifier(linear.folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("passed") >= 3
+    assert "largest difference" in done.stdout
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(linear.folder, copy)
+    path = copy / "golden" / "f_d.csv"
+    lines = path.read_text().splitlines()
+    cells = lines[3].split(",")
+    cells[-1] = repr(float(cells[-1]) + 1e-6)
+    path.write_text("\n".join([*lines[:3], ",".join(cells), *lines[4:]]) + "\n")
+    done = run_verifier(copy)
+    assert done.returncode == 1
+    assert "changed since the export: golden/f_d.csv" in done.stdout
+    assert "in f_d (limit 1e-10): FAILED" in done.stdout
+
+
+def test_the_verifier_finds_wrong_c(linear, tmp_path):
+    compiled.needs_compiler()
+    import shutil
+
+    copy = tmp_path / "copy"
+    shutil.copytree(linear.folder, copy)
+    path = copy / "c" / f"{linear.name}.c"
+    text = path.read_text()
+    assert "casadi_real" in text
+    path.write_text(text.replace("return 0;", "return 1;", 1))
+    done = run_verifier(copy)
+    assert done.returncode == 1
+    assert "selftest failed" in done.stderr
+
+
+def test_the_verifier_says_in_one_line_what_is_no_bundle(tmp_path):
+    done = run_verifier(tmp_path)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_limits_and_schema_are_the_same_on_both_sides():
+    from mpc_export import manifest
+
+    assert verify.SCHEMA == manifest.SCHEMA
+    assert manifest.TOLERANCE == {"double": 1e-10, "float": 1e-4}
+
+
+# ------------------------------------------------------------------------------------------------ fewer points
+
+
+def test_fewer_points_keep_mean_and_variance_where_they_are():
+    posterior = cases.hybrid(30, "se").dynamics.posterior
+    smaller = reduced(posterior, 12)
+    assert smaller.points == 12
+    (m1, v1), (m2, v2) = (p.evaluate(smaller.support_points) for p in (posterior, smaller))
+    np.testing.assert_allclose(m2, m1, rtol=1e-6, atol=1e-8 * np.abs(m1).max())
+    np.testing.assert_allclose(v2, v1, rtol=1e-4, atol=1e-6 * v1.max())
+
+
+def test_more_points_lose_less_and_the_report_says_so():
+    model = cases.hybrid(40, "se")
+    errors = [with_points(model, m)[1]["mean_error"].max() for m in (5, 20, 38)]
+    assert errors[0] > errors[1] > errors[2]
+    same, report = with_points(model, 40)
+    assert same is model and report is None
+    with pytest.raises(ModelError, match="learned part"):
+        with_points(cases.physics(), 10)
+    with pytest.raises(ModelError, match="positive"):
+        with_points(model, 0)
+
+
+def test_the_bundle_states_its_reduction(tmp_path):
+    made = write_bundle(cases.hybrid(), tmp_path / "b", points=5, targets=(), use_cache=False)
+    assert made.manifest["reduction"]["points"] == 5
+    assert made.manifest["domain"]["learned"]["points"] == 5
+    jsonschema.validate(made.manifest, compiled.manifest_schema())
+
+
+def test_another_rate_and_held_commands_are_noted(tmp_path):
+    made = write_bundle(replace(cases.physics()), tmp_path / "b", dt=0.005, targets=(), use_cache=False)
+    assert any("identified at 0.01 s" in n for n in made.manifest["notes"])
+    assert made.manifest["delay"]["history"]["u1"] == 3

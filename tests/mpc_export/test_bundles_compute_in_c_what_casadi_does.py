@@ -1,0 +1,261 @@
+"""C of a bundle equals CasADi at 1e-10 of the output's scale (float: 1e-4), inside the domain, at its edge, far outside."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.model.effects import effect_by_name
+from mpc_export.bundle import write_bundle
+from mpc_export.golden import golden_vectors
+from mpc_export.verify import STRICT
+from tests.conformance import specimen
+from tests.mpc_export import cases, compiled
+from tests.residual import hybrid_cases
+
+LIMIT = {"double": 1e-10, "float": 1e-4}
+
+
+@pytest.fixture(scope="module")
+def hybrid(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hybrid") / "quad"
+    return write_bundle(cases.hybrid(), folder, with_=("covariance", "filter", "target"), use_cache=False)
+
+
+@pytest.fixture(scope="module")
+def objects(hybrid, tmp_path_factory):
+    """The library's two units, compiled strictly and without optimisation."""
+    return compiled.compile_objects(hybrid, tmp_path_factory.mktemp("objects"), "gcc", "-O0")
+
+
+@pytest.fixture(scope="module")
+def library(objects, tmp_path_factory):
+    return compiled.link(objects, tmp_path_factory.mktemp("lib"))
+
+
+def points(functions, count, seed=0):
+    rng = np.random.default_rng(seed)
+    spreads = np.resize([0.3, 1.0, 1.0, 3.0, 30.0], count)
+    return [cases.point(functions, rng, float(s)) for s in spreads]
+
+
+def with_effect(effect):
+    model = specimen.model_with(effect)
+    rng = np.random.default_rng(1)
+    values = specimen.at_random(effect, specimen.crooked(), rng)
+    identified = hybrid_cases.craft_model(model).with_values(values)
+    inputs = np.array([3.8 if name == "vbat" else 0.5 for name in model.inputs.names])
+    return replace(
+        identified, reference_state=model.reference({"u1": 0.5, "z": 1.0}), reference_inputs=inputs,
+        covariance_names=(), covariance=np.zeros((0, 0)),
+    )  # fmt: skip
+
+
+ONE_PER_STAGE = ("command_delay", "battery_sag", "motor_lag", "ground_effect", "products_of_inertia", "sensor_delay")
+
+
+@pytest.mark.parametrize("effect", ONE_PER_STAGE)
+def test_an_effect_of_every_stage_in_double(tmp_path, effect):
+    effect = effect_by_name(effect)
+    bundle = write_bundle(with_effect(effect), tmp_path / "one", targets=("c",), use_cache=False)
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 60))
+    assert max(gaps.values()) < LIMIT["double"], gaps
+
+
+def test_a_hybrid_in_double(hybrid, library):
+    gaps = compiled.largest_difference(
+        hybrid, compiled.load(hybrid, library), hybrid.functions.functions, points(hybrid.functions, 300)
+    )
+    assert len(gaps) == len(hybrid.manifest["functions"])
+    assert max(gaps.values()) < LIMIT["double"], gaps
+
+
+@pytest.mark.parametrize("kind", ["hybrid", "linear"])
+def test_single_precision(tmp_path, kind):
+    model = {"hybrid": cases.hybrid, "linear": cases.linear}[kind]()
+    bundle = write_bundle(model, tmp_path / "single", real="float", with_=("filter", "covariance"), use_cache=False)
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    for entry in bundle.manifest["functions"]:
+        golden = next(g for g in golden_vectors(bundle.functions, 12) if g.name == entry["name"])
+        for row in range(12):
+            got = library.call(entry, [v[row].tolist() for v in golden.arguments.values()])
+            for port, ours in zip(entry["results"], got, strict=True):
+                want = golden.results[port["name"]][row]
+                assert np.abs(np.array(ours) - want).max(initial=0.0) < LIMIT["float"] * port["scale"], entry["name"]
+
+
+def test_weights_and_mass_change_at_run_time_in_c_too(tmp_path):
+    model = cases.hybrid()
+    runtime = ("mass", "gp.weights")
+    bundle = write_bundle(model, tmp_path / "rt", targets=("c",), runtime_parameters=runtime, use_cache=False)
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    rng, some = np.random.default_rng(4), points(bundle.functions, 20)
+    for point in some:
+        point["p"] = point["p"] * rng.uniform(0.5, 1.5, point["p"].size)
+    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, some)
+    assert max(gaps.values()) < LIMIT["double"], gaps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", specimen.effects_under_test())
+def test_every_effect_alone_over_ten_thousand_points(tmp_path, effect):
+    bundle = write_bundle(with_effect(effect), tmp_path / "one", targets=("c",), use_cache=False)
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib"))
+    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 10_000))
+    assert max(gaps.values()) < LIMIT["double"], gaps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", ["se", "linear+se", "matern32", "linear+matern52"])
+def test_hybrids_over_ten_thousand_points(tmp_path, kernel):
+    bundle = write_bundle(
+        cases.hybrid(50, kernel), tmp_path / "h", targets=("c",), with_=("covariance", "filter"), use_cache=False
+    )
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib"))
+    gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 10_000))
+    assert max(gaps.values()) < LIMIT["double"], gaps
+
+
+# ------------------------------------------------------------------------------------------------ the C itself
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_self_test_and_wrapper_compile_strictly_and_pass(hybrid, objects, tmp_path, compiler):
+    if compiler not in compiled.COMPILERS:
+        pytest.skip(f"{compiler} is not installed")
+    made = objects if compiler == "gcc" else compiled.compile_objects(hybrid, tmp_path, compiler, "-O0")
+    source = hybrid.folder / "c" / f"{hybrid.name}_selftest.c"
+    subprocess.run([compiler, *STRICT, "-O0", source, *made, "-o", tmp_path / "selftest", "-lm"], check=True)
+    done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "passed" in done.stdout, done.stdout
+
+
+def test_no_address_error_and_no_undefined_behaviour(hybrid, tmp_path):
+    compiled.needs_compiler()
+    flags = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-std=c99"]
+    source = [hybrid.folder / "c" / f"{hybrid.name}{s}.c" for s in ("", "_model", "_selftest")]
+    done = subprocess.run(
+        ["gcc", *flags, *source, "-o", tmp_path / "selftest", "-lm"], capture_output=True, text=True, check=False
+    )
+    if done.returncode and "sanitize" in done.stderr:
+        pytest.skip("no sanitizers")
+    assert done.returncode == 0, done.stderr[:2000]
+    done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.stdout + done.stderr)[-2000:]
+
+
+def test_the_self_test_finds_a_wrong_number(hybrid, objects, tmp_path):
+    folder, name = hybrid.folder / "c", hybrid.name
+    text = (folder / f"{name}_selftest.c").read_text()
+    place = re.search(r"want_x_next\[\d+\] = \{\n\s+(-?[\d.e+-]+),", text)
+    assert place is not None
+    wrong = text[: place.start(1)] + repr(float(place[1]) + 1e-6) + text[place.end(1) :]
+    (tmp_path / f"{name}_selftest.c").write_text(wrong)
+    source = [tmp_path / f"{name}_selftest.c", *objects]
+    subprocess.run(["gcc", "-std=c99", "-O0", f"-I{folder}", *source, "-o", tmp_path / "selftest", "-lm"], check=True)
+    done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "FAILED" in done.stdout
+
+
+def test_the_library_has_no_writable_data(hybrid, library):
+    symbols = subprocess.run(["nm", library], capture_output=True, text=True, check=True).stdout
+    own = [line.split() for line in symbols.splitlines()]
+    writable = [w[-1] for w in own if len(w) == 3 and w[1] in "bBdD" and not w[-1].startswith(("_", "completed", "__"))]
+    assert writable == []
+    needed = {w[-1].split("@")[0] for w in own if w[0] == "U"}
+    assert not needed & {"malloc", "free", "calloc", "printf", "fprintf", "puts"}
+
+
+def test_cpp_takes_the_header(hybrid, objects, tmp_path):
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler")
+    folder, name = hybrid.folder / "c", hybrid.name
+    done = subprocess.run(
+        ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", folder / f"{name}_example.cpp", *objects, "-o",
+         tmp_path / "example", "-lm"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[:2000]
+    done = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "after one second" in done.stdout
+
+
+CODES = """
+#include <stdio.h>
+#include "NAME_model.h"
+int main(void) {
+  static NAME_work work;
+  double x[UP_N_X], u[UP_N_U], next[UP_N_X];
+  int i, k;
+  for (k = 0; k < 4; ++k) {
+    for (i = 0; i < UP_N_X; ++i) x[i] = NAME_x_reference[i];
+    for (i = 0; i < UP_N_U; ++i) u[i] = NAME_u_reference[i];
+    if (k == 1) u[UP_U_U2] = 1.5;
+    if (k == 2) x[UP_X_ATTITUDE_W] = 0.5;
+    if (k == 3) x[UP_X_RATE_X] = 0.0 / u[UP_U_U1] / 0.0;
+    printf("%d ", NAME_eval_f_d(x, u, 0, next, &work));
+  }
+  for (i = 0; i < UP_N_X; ++i) x[i] = NAME_x_reference[i];
+  x[UP_X_VELOCITY_X] = 1e300;
+  printf("%d %d\\n", NAME_eval_f_d(x, u, 0, 0, &work), NAME_eval_f_d(x, u, 0, next, &work));
+  return NAME_abi() == UP_ABI ? 0 : 1;
+}
+"""
+
+
+def test_return_codes_tell_what_is_wrong(hybrid, objects, tmp_path):
+    folder, name = hybrid.folder / "c", hybrid.name
+    text = CODES.replace("NAME", name).replace("UP_", f"{name.upper()}_")
+    (tmp_path / "codes.c").write_text(text)
+    source = [tmp_path / "codes.c", *objects]
+    command = ["gcc", "-std=c99", "-O0", "-w", f"-I{folder}", *source, "-o", tmp_path / "codes", "-lm"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([tmp_path / "codes"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout.split()[:4] == ["0", "1", "1", "2"]
+    wrong = subprocess.run([*command, f"-D{name.upper()}_EXPECTED_ABI=1u"], capture_output=True, text=True, check=False)
+    assert wrong.returncode != 0
+    assert "another layout" in wrong.stderr
+
+
+@pytest.mark.slow
+def test_cmake_builds_tests_and_installs(hybrid, tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("no cmake")
+    build = tmp_path / "build"
+    subprocess.run(
+        ["cmake", "-S", hybrid.folder / "c", "-B", build, f"-DCMAKE_INSTALL_PREFIX={tmp_path / 'in'}"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    subprocess.run(["cmake", "--build", build], check=True, capture_output=True)
+    subprocess.run(["ctest", "--test-dir", build, "--output-on-failure"], check=True, capture_output=True)
+    subprocess.run(["cmake", "--install", build], check=True, capture_output=True)
+    made = {p.name for p in (tmp_path / "in").rglob("*") if p.is_file()}
+    assert {"lib" + hybrid.name + ".a", f"{hybrid.name}.pc", f"{hybrid.name}_model.h"} <= made
+    pc = next((tmp_path / "in").rglob("*.pc")).read_text()
+    assert f"-l{hybrid.name}" in pc and str(tmp_path / "in") in pc
+
+
+@pytest.mark.slow
+def test_export_and_compilation_stay_within_their_budget(tmp_path):
+    model = cases.hybrid(100)
+    start = time.monotonic()
+    bundle = write_bundle(model, tmp_path / "big", use_cache=False)
+    compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O2")
+    assert time.monotonic() - start < 10.0
+    assert bundle.manifest["c"]["source_bytes"] < 3e6
+
+
+def test_source_stays_small_at_a_hundred_points(tmp_path):
+    bundle = write_bundle(
+        cases.hybrid(100), tmp_path / "big", targets=("c",), with_=("covariance", "filter"), use_cache=False
+    )
+    assert bundle.manifest["c"]["source_bytes"] < 3e6
