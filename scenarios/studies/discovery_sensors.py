@@ -36,7 +36,7 @@ from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
-from scenarios.studies.discovery_grid import MAKERS, cases, vehicle_of
+from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
 
 EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
@@ -143,7 +143,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
 def line(row: dict[str, Any]) -> str:
     """A row for the terminal."""
     said = [*row["effects"], *(" or ".join(g) for g in row["groups"]), *(f"[{u}]" for u in row["unnamed"])]
-    models = sorted({f"{s['kind']} {s['channel']}" for s in row["sensors"]})
+    models = sorted({f"{s['kind']} {s['channel']}" for s in row["sensors"] if s["kind"] != "white"})
     return (
         f"{row['vehicle']} {row['seed']} {row['ingredients']}:{row['effect']}  {'right' if row['right'] else 'WRONG'}  "
         f"{', '.join(said) or row['verdict']}; {'; '.join(models)}; {row['faults']} ({row['seconds']:.0f} s)"

@@ -1,0 +1,117 @@
+"""What only a sensor does is said of the sensor: coloured noise, drifts and filters are found with their numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.data import Dataset, dataset_from_arrays
+from greybox.discovery import sensor_noise as noise
+from greybox.estimation.fit import fit
+from greybox.model.model import build_model
+from greybox.model.sensor_noise import NoisePart, SensorNoise
+from greybox.model.vehicle import read_vehicle
+from scenarios.excitation.injection import rich_excitation
+from scenarios.excitation.waypoints import RandomWaypoints
+from scenarios.plants.flight_log import fly
+from scenarios.plants.noise import ProcessNoise
+from scenarios.plants.presets import controller_for, x250
+from scenarios.plants.sensor_faults import coloured_noise, low_passed
+from scenarios.plants.vehicle_file import write_vehicle
+
+COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """(vehicle with exact values, log of 8 s with attitude and IMU)."""
+    plant = x250()
+    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 8.0, seed=5, warm_up=1.0)
+    vehicle = read_vehicle(write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", plant, sigma={"thrust.c2": 0.1}))
+    return vehicle, {k: v for k, v in log.items() if k in ("t", *COLUMNS) or k[:1] == "u"}
+
+
+def white_fit(vehicle, log):
+    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
+    return fit(build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise"), data
+
+
+def test_white_sensors_are_not_suspected(flown):
+    found, data = white_fit(*flown)
+    assert noise.suspicious(found) == ()
+    assert noise.coloured_sensors(found, data) is None
+    table = noise.sensor_table(found, {})
+    assert {(s["channel"], s["kind"]) for s in table} >= {("p", "white"), ("ax", "white")}
+    assert next(s for s in table if s["channel"] == "p")["parameters"]["sigma"] == pytest.approx(0.01, rel=0.15)
+
+
+@pytest.mark.slow
+def test_coloured_noise_of_one_sensor_is_found_with_its_numbers(flown):
+    vehicle, log = flown
+    dirty = coloured_noise(log, ["p", "q", "r"], 0.02, 0.08, np.random.default_rng(0))
+    found, data = white_fit(vehicle, dirty)
+    chosen = noise.coloured_sensors(found, data)
+    assert chosen is not None
+    assert [p.name for p in chosen.parts] == ["coloured.gyro"]
+    assert chosen.parts[0].time == pytest.approx(0.08, rel=0.4)
+    assert chosen.gains["coloured.gyro"] > 50
+
+
+def test_a_disturbed_vehicle_does_not_blame_its_sensors(tmp_path):
+    """Slow torque and force reach every channel; sensors stay white."""
+    gusty = ProcessNoise(force=0.005, torque=1e-4, drift_force=0.3, drift_torque=6e-3, drift_time=0.3)
+    plant = x250(process=gusty)
+    log = fly(plant, controller_for(plant), RandomWaypoints(), rich_excitation(), 8.0, seed=6, warm_up=1.0)
+    log = {k: v for k, v in log.items() if k in ("t", *COLUMNS, "vx", "vy", "vz") or k[:1] == "u"}
+    found, data = white_fit(read_vehicle(write_vehicle(tmp_path / "v.toml", plant, sigma={"thrust.c2": 0.1})), log)
+    assert noise.suspicious(found)
+    assert noise.coloured_sensors(found, data) is None
+
+
+def test_an_accelerometer_alone_is_not_blamed_for_what_may_be_force(flown, monkeypatch):
+    """Without velocity or position nobody can tell: colour is not offered."""
+    vehicle, log = flown
+    dirty = coloured_noise(log, ["ax", "ay", "az"], 0.3, 0.1, np.random.default_rng(0))
+    found, data = white_fit(vehicle, dirty)
+    offered = []
+
+    def note(had, parts, *rest):
+        offered.extend(p.sensor for p in parts)
+        raise KeyError
+
+    monkeypatch.setattr(noise, "_coloured", note)
+    with pytest.raises(KeyError):
+        noise.coloured_sensors(found, data)
+    assert set(offered) == {"gyro", "attitude"}
+
+
+def test_a_low_pass_is_recovered_and_has_the_gain_of_a_filter(flown):
+    vehicle, log = flown
+    found, data = white_fit(vehicle, low_passed(log, ["p", "q", "r", "ax", "ay", "az"], 20.0))
+    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=noise.FILTER) for s in ("gyro", "accelerometer"))
+    model = SensorNoise(inner=found.model.dynamics, parts=parts)
+    filtered = fit(
+        model, data, free=["thrust.c2", *(f"{p.name}.T" for p in parts)], values=dict(found.model.values),
+        noise=noise.noise_of(found.model), initialisation="nominal",
+    )  # fmt: skip
+    assert found.bic - filtered.bic > 1000
+    assert filtered.parameters["low_pass.gyro.T"].value == pytest.approx(1 / (2 * np.pi * 20.0), rel=0.1)
+    table = noise.sensor_table(filtered, {"low_pass.gyro": 7.0})
+    entry = next(s for s in table if s["channel"] == "q" and s["kind"] == "low_pass")
+    assert entry["parameters"]["cutoff"] == pytest.approx(20.0, rel=0.1)
+    assert entry["delta_bic"] == 7.0
+
+
+def test_model_files_have_white_sensors(flown, tmp_path):
+    vehicle, log = flown
+    found, data = white_fit(vehicle, log)
+    parts = (NoisePart(sensor="gyro", kind="coloured", time=0.05),)
+    dressed = fit(
+        SensorNoise(inner=found.model.dynamics, parts=parts), data, free=["thrust.c2"], values=dict(found.model.values),
+        noise=noise.noise_of(found.model), initialisation="nominal",
+    )  # fmt: skip
+    plain = noise.plain_model(dressed, data)
+    assert plain.values["thrust.c2"] == dressed.model.values["thrust.c2"]
+    assert plain.covariance_names == dressed.model.covariance_names
+    assert plain.save(tmp_path / "model.json").exists()
+    assert isinstance(data, Dataset)

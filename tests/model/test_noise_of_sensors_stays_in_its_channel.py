@@ -1,0 +1,116 @@
+"""Noise states of sensors move nothing but their own sensor; a filter is the one that smooths a record."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from greybox.errors import ModelError, UnknownNameError
+from greybox.model.dynamics import Dynamics
+from greybox.model.model import build_model
+from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.model.vehicle import read_vehicle
+from scenarios.plants.presets import x250
+from scenarios.plants.sensor_faults import low_passed
+from scenarios.plants.vehicle_file import write_vehicle
+
+DT = 0.01
+COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")
+PARTS = (
+    NoisePart(sensor="gyro", kind="coloured", time=0.05),
+    NoisePart(sensor="gyro", kind="drift"),
+    NoisePart(sensor="accelerometer", kind="line", time=0.5, frequency=13.0),
+    NoisePart(sensor="accelerometer", kind="low_pass", time=0.008),
+)
+
+
+@pytest.fixture(scope="module")
+def physics(tmp_path_factory):
+    vehicle = read_vehicle(write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", x250(), sigma={"thrust.c2": 0.1}))
+    return build_model(vehicle, COLUMNS, (), sample_time=DT)
+
+
+def functions(model):
+    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs), sum(model.window) + 1)
+    w, p, y = (
+        ca.SX.sym("w", len(model.noises)),
+        ca.SX.sym("p", len(model.parameters)),
+        ca.SX.sym("y", len(model.outputs)),
+    )
+    out = model.output(0, x, u, p, w, DT)
+    return (
+        ca.Function("step", [x, u, p, w], [model.step(0, x, u, p, w, DT)]),
+        ca.Function("output", [x, u, p, w], [out]),
+        ca.Function("innovation", [y, x, u, p, w], [model.innovation(y, out, x)]),
+    )
+
+
+def start(model):
+    level = {n: np.array([0.0]) for n in COLUMNS} | {"qw": np.array([1.0])}
+    return model.initial_state(level)[0], np.array([d.nominal for d in model.parameters])
+
+
+def test_it_is_a_dynamics_and_comes_off_again(physics):
+    model = SensorNoise(inner=physics, parts=PARTS)
+    assert isinstance(model, Dynamics)
+    assert white(model) is physics
+    assert white(physics) is physics
+    assert len(model.states) - len(physics.states) == 3 + 3 + 6 + 3
+    assert model.noise_scale(DT).shape == (len(model.noises),)
+    assert model.reference({"qw": 1.0}).shape == (len(model.states),)
+    assert "rotor_drag" in {e.name for e in model.with_effect("rotor_drag").inner.effects}
+    assert model.with_effect("rotor_drag").without_effect("rotor_drag") == model
+
+
+def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
+    model = SensorNoise(inner=physics, parts=PARTS[:3])
+    step, _, innovation = functions(model)
+    x, p = start(model)
+    u, quiet = np.full(4, 0.5), np.zeros(len(model.noises))
+    y = np.zeros(len(model.outputs))
+    y[model.outputs["qw"]] = 1.0
+    base = np.asarray(innovation(y, x, u, p, quiet).full()).ravel()
+    noisy = x.copy()
+    noisy[model.states["coloured.gyro.c.q"]] = 0.3
+    noisy[model.states["drift.gyro.c.q"]] = 0.2
+    noisy[model.states["line.accelerometer.c.az"]] = 0.7
+    change = np.asarray(innovation(y, noisy, u, p, quiet).full()).ravel() - base
+    expected = np.zeros_like(change)
+    expected[model.innovations["q"]], expected[model.innovations["az"]] = -0.5, -0.7
+    assert change == pytest.approx(expected, abs=1e-12)
+    after, plain = (np.asarray(step(v, u, p, quiet).full()).ravel() for v in (noisy, x))
+    n = len(physics.states)
+    assert after[:n] == pytest.approx(plain[:n], abs=0)
+    assert after[model.states["coloured.gyro.c.q"]] == pytest.approx(0.3 * np.exp(-DT / 0.05))
+    assert after[model.states["drift.gyro.c.q"]] == pytest.approx(0.2)
+    turn, decay = 2 * np.pi * 13.0 * DT, np.exp(-DT / 0.5)
+    assert after[model.states["line.accelerometer.c.az"]] == pytest.approx(0.7 * decay * np.cos(turn))
+    assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(0.7 * decay * np.sin(turn))
+
+
+def test_a_filter_is_the_one_that_smooths_a_record(physics):
+    model = SensorNoise(inner=physics, parts=PARTS[3:])
+    (step, output, _), (_, bare, _) = functions(model), functions(physics)
+    x, p = start(model)
+    rng = np.random.default_rng(0)
+    quiet, n = np.zeros(len(model.noises)), len(physics.states)
+    seen, true = [], []
+    for _ in range(60):
+        u = rng.uniform(0.4, 0.6, 4)
+        seen.append(output(x, u, p, quiet).full().ravel()[model.outputs["az"]])
+        true.append(bare(x[:n], u, p[: len(physics.parameters)], quiet[: len(physics.noises)]).full().ravel())
+        x = step(x, u, p, quiet).full().ravel()
+    record = {"t": DT * np.arange(60), "az": np.array([v[physics.outputs["az"]] for v in true])}
+    smooth = low_passed(record, ["az"], 1 / (2 * np.pi * 0.008))["az"]
+    assert np.array(seen)[20:] == pytest.approx(smooth[20:], abs=1e-8)
+    assert np.ptp(record["az"]) > 0.5
+
+
+def test_mistakes_are_named(physics):
+    with pytest.raises(UnknownNameError, match="barometer"):
+        SensorNoise(inner=physics, parts=(NoisePart(sensor="barometer", kind="coloured"),))
+    with pytest.raises(ModelError, match="pink"):
+        SensorNoise(inner=physics, parts=(NoisePart(sensor="gyro", kind="pink"),))
+    with pytest.raises(ModelError, match=r"drift\.gyro"):
+        SensorNoise(inner=physics, parts=(PARTS[1], PARTS[1]))
