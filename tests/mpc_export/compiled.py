@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shutil
 import subprocess
@@ -58,20 +59,37 @@ def largest_difference(bundle: ExportBundle, library: CLibrary, functions, point
     worst: dict[str, float] = {}
     for entry in bundle.manifest["functions"]:
         made = functions[entry["name"]]
-        got, want = [], []
+        given = [np.zeros(max(made.numel_in(i), 1)) for i in range(made.n_in())]
+        ours, theirs = ([np.zeros(max(made.numel_out(i), 1)) for i in range(made.n_out())] for _ in range(2))
+        run_c = _c_call(library, entry, given, ours)
+        buffer, run_casadi = made.buffer()
+        for i, a in enumerate(given):
+            buffer.set_arg(i, a.data)
+        for i, a in enumerate(theirs):
+            buffer.set_res(i, a.data)
+        gap, size = np.zeros(made.n_out()), np.full(made.n_out(), 1e-30)
         for point in points:
-            given = [np.ravel(point[n], order="F")[: made.numel_in(i)] for i, n in enumerate(made.name_in())]
-            got.append(library.call(entry, [g.tolist() for g in given]))
-            shaped = [np.reshape(g, made.size_in(i), order="F") for i, g in enumerate(given)]
-            want.append([v.full().ravel(order="F") for v in made.call([np.asarray(s) for s in shaped])])
-        for k in range(made.n_out()):
-            ours, theirs = (np.array([row[k] for row in rows]) for rows in (got, want))
-            if theirs.size:
-                assert np.isfinite(theirs).all(), entry["name"]
-                scale = max(float(np.abs(theirs).max()), 1e-30)
-                gap = float(np.abs(ours - theirs).max()) / scale
-                worst[entry["name"]] = max(worst.get(entry["name"], 0.0), gap)
+            for i, name in enumerate(made.name_in()):
+                n = made.numel_in(i)
+                given[i][:n] = np.ravel(point[name], order="F")[:n]
+            assert run_c() == 0
+            run_casadi()
+            for k, (a, b) in enumerate(zip(ours, theirs, strict=True)):
+                assert np.isfinite(b).all(), entry["name"]
+                gap[k], size[k] = max(gap[k], np.abs(a - b).max()), max(size[k], np.abs(b).max())
+        worst[entry["name"]] = float((gap / size).max())
     return worst
+
+
+def _c_call(library: CLibrary, entry, given, results):
+    """A function of nothing that calls the C function on these arrays."""
+    sizes, pointer = library.manifest["c"]["functions"][entry["name"]], ctypes.POINTER(ctypes.c_double)
+    assert library.real is ctypes.c_double
+    arg = (pointer * max(sizes["sz_arg"], 1))(*(a.ctypes.data_as(pointer) for a in given))
+    res = (pointer * max(sizes["sz_res"], 1))(*(a.ctypes.data_as(pointer) for a in results))
+    iw, w = (library.integer * max(sizes["sz_iw"], 1))(), (ctypes.c_double * max(sizes["sz_w"], 1))()
+    function = getattr(library.library, f"{library.manifest['name']}_{entry['name']}")
+    return lambda: function(arg, res, iw, w, 0)
 
 
 def manifest_schema() -> dict:
