@@ -74,6 +74,17 @@ class HeldOut:
             self._seen[key] = fitted.fit, foresee(fitted.fit.model, self.data, adapt=self.adapt)
         return self._seen[key][1]
 
+    def errors(self, fitted: NestedFit) -> list[dict[str, Any]]:
+        """RMSE per group and horizon [s] (0: one sample); empty where it cannot be had."""
+        try:
+            own = self.foresight(fitted).own
+        except GreyboxError:
+            return []
+        sums = {key: (sum(float(b.sum()) for b in bs), sum(b.size for b in bs)) for key, bs in own.items()}
+        return [
+            {"group": g, "horizon_s": h, "rmse": float(np.sqrt(total / n))} for (g, h), (total, n) in sums.items() if n
+        ]
+
     def withheld(self, before: NestedFit, after: NestedFit) -> Withheld | None:
         """Why what `after` adds to `before` does not hold on these flights; None where it does or cannot be asked."""
         added = tuple(e for e in after.effects if e not in before.effects)

@@ -74,6 +74,7 @@ class Discovery:
     tested_on: tuple[str, ...] = ()
     withheld: tuple[Withheld, ...] = ()
     separating: Mapping[tuple[str, ...], Mapping[str, Any] | None] = field(default_factory=dict)
+    errors: tuple[list[dict[str, Any]], ...] = ()
     sensors: tuple[Mapping[str, Any], ...] = ()
     plain: IdentifiedModel | None = None
 
@@ -187,6 +188,10 @@ class Discovery:
                 "before": None if self.before is None else self.before.gain,
                 "after": None if self.leftover is None else self.leftover.gain,
             },
+            "held_out_errors": [
+                {"added": added, "errors": rows}
+                for added, rows in zip(([], *(list(a.effects) for a in self.additions)), self.errors, strict=False)
+            ],
             "regimes": [] if self.before is None else [r.to_dict() for r in self.before.regimes],
             "spectrum": None if self.spectrum is None else self.spectrum.to_dict(),
             "steps": self.steps(),
@@ -302,6 +307,8 @@ def discover(
     settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
     nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
 
+    held_out = HeldOut(judged, adapt) if judged is not train else None
+
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
         # A model file has white sensors: what was saved without their noise models stands until the end.
         if save is not None and not parts_of(now.fit.model.dynamics):
@@ -310,6 +317,7 @@ def discover(
                     verdict=_verdict(found, None), additions=tuple(found), fit=now.fit, final=now,
                     unjudged=offered.unjudged, warnings=("the search was stopped before its end",),
                     omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+                    errors=_errors(held_out, now, tuple(found)),
                 )
             )  # fmt: skip
 
@@ -318,7 +326,6 @@ def discover(
     warnings: list[str] = []
     if not null.fit.converged:
         warnings.append(f"the fit without any addition: {null.fit.status.advice}")
-    held_out = HeldOut(judged, adapt) if judged is not train else None
     search = _Search(held_out=held_out, alpha=alpha, seed=seed, max_effects=max_effects, say=say, interim=interim)
     interim(null, ())
     done = search.run(nest, null)
@@ -339,7 +346,7 @@ def discover(
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not named & set(w.effects)]
-    before = promote(null.fit, train, seed=seed) if at is not null else leftover
+    before = promote(null.fit, train, seed=seed, iterations=12) if at is not null else leftover
     say("gap", 0.9)
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
@@ -360,7 +367,8 @@ def discover(
         minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
-        withheld=tuple(withheld), separating=separating, plain=plain_model(at.fit, train),
+        withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),
+        plain=plain_model(at.fit, train),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 
@@ -454,6 +462,16 @@ def _earned(
         if refusal is None:
             return found, withheld
         withheld.append(refusal)
+
+
+def _errors(
+    held_out: HeldOut | None, null: NestedFit, additions: Sequence[Addition]
+) -> tuple[list[dict[str, Any]], ...]:
+    """Errors on flights that were not searched before any addition and after each; empty without such flights."""
+    if held_out is None:
+        return ()
+    first = additions[0].before if additions else null
+    return tuple(held_out.errors(f) for f in (first, *(a.after for a in additions)))
 
 
 def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:

@@ -24,7 +24,6 @@ from typing import Any
 
 from greybox.data import Dataset
 from greybox.data.logs import read_logs
-from greybox.discovery.gap import squares
 from greybox.discovery.workflow import Discovery, discover
 from greybox.files import write_json
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
@@ -50,59 +49,53 @@ def with_nuisance(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, effects={**vehicle.effects, **known})
 
 
-def excerpt(data: Dataset, begin: float, seconds: float) -> Dataset:
-    """The same stretch of every flight, from `begin` [s] after its start."""
+def excerpt(data: Dataset, seconds: float) -> Dataset:
+    """`seconds` of every flight: one half from its third second on, the other up to 4 s before its end (an emptier pack)."""
     cut = []
     for flight in data:
-        start = float(flight.segments[0].t[0]) + begin
-        part = flight.between(start, start + seconds)
-        if part is not None:
-            cut.append(part)
+        start, end = float(flight.segments[0].t[0]), float(flight.segments[-1].t[-1])
+        half = seconds / 2
+        parts = [flight.between(start + 3, start + 3 + half), flight.between(end - 4 - half, end - 4)]
+        cut.append(replace(flight, segments=tuple(s for p in parts if p is not None for s in p.segments)))
     return Dataset(flights=tuple(cut))
 
 
-def nanobench(seconds: float, **options: Any) -> tuple[Discovery, Dataset, float | None]:
-    """(what was found, test flights, seconds of adaptation)."""
+def nanobench(seconds: float, every: int = 1, **options: Any) -> Discovery:
+    """What was found in excerpts of every `every`-th training flight."""
     vehicle = with_nuisance(read_vehicle(vehicle_path("nanobench")))
     data = read_logs(flight_paths("nanobench"), vehicle)
     test = data.select(NANOBENCH_TEST)
-    found = discover(
-        vehicle, excerpt(data.select(NANOBENCH_TRAIN), 3.0, seconds), test, adapt=5.0, kinematic_noise=True,
+    return discover(
+        vehicle, excerpt(data.select(NANOBENCH_TRAIN[::every]), seconds), test, adapt=5.0, kinematic_noise=True,
         per_flight=PER_FLIGHT, fixed=("mass",), hold_sensor_noise=True, **options,
     )  # fmt: skip
-    return found, test, 5.0
 
 
-def arpl(seconds: float, **options: Any) -> tuple[Discovery, Dataset, float | None]:
-    """The same for the ARPL log: at most `seconds` of its first half are searched."""
+def arpl(seconds: float, every: int = 1, **options: Any) -> Discovery:
+    """The same for the ARPL log: `seconds` of its first half are searched (there is one flight, whatever `every`)."""
     vehicle = read_vehicle(vehicle_path("arpl_crazyflie"))
     data = read_logs([flight_path("arpl_crazyflie", "log15")], vehicle, rate=100.0)
     first, second = data.split_by_time(0.5)
-    found = discover(vehicle, excerpt(first, 0.0, seconds), second, **options)
-    return found, second, None
+    return discover(vehicle, excerpt(first, seconds), second, **options)
 
 
 SETS = {"nanobench": nanobench, "arpl": arpl}
 
 
-def ladder(found: Discovery, test: Dataset, adapt: float | None) -> str:
+def head_of(e: Mapping[str, Any]) -> str:
+    """Group and horizon of a column; h = 1 is one sample."""
+    return f"{e['group'][:8]} {e['horizon_s'] or 0.01:g} s"
+
+
+def ladder(found: Discovery) -> str:
     """Errors ahead on the test flights before any addition and after each of them."""
-    assert found.final is not None
-    models = [("bare core", found.additions[0].before if found.additions else found.final)]
-    models += [("+ " + " and ".join(a.effects), a.after) for a in found.additions]
     lines: list[str] = []
-    for label, fitted in models:
-        own, _ = squares(fitted.fit.model, test, adapt=adapt)
-        groups = list(dict.fromkeys(g for g, _ in own))
+    for row in found.to_dict()["held_out_errors"]:
+        errors = [e for e in row["errors"] if e["horizon_s"] in HORIZONS]
         if not lines:
-            head = "".join(f"{f'{g[:8]} {h or 0.01:g} s':>17s}" for g in groups for h in HORIZONS)
-            lines.append(f"{'model':34s}{head}")
-        cells = []
-        for g in groups:
-            for h in HORIZONS:
-                blocks = own[g, h]
-                cells.append((sum(b.sum() for b in blocks) / max(sum(b.size for b in blocks), 1)) ** 0.5)
-        lines.append(f"{label:34s}" + "".join(f"{c:17.4f}" for c in cells))
+            lines.append(f"{'model':34s}" + "".join(f"{head_of(e):>17s}" for e in errors))
+        label = "+ " + " and ".join(row["added"]) if row["added"] else "bare core"
+        lines.append(f"{label:34s}" + "".join(f"{e['rmse']:17.4f}" for e in errors))
     return "\n".join(lines)
 
 
@@ -111,6 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--set", choices=tuple(SETS), default="nanobench")
     parser.add_argument("--seconds", type=float, default=10.0, help="of every training flight")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th training flight")
     parser.add_argument("--max-effects", type=int, default=8)
     parser.add_argument("--out", metavar="DIR")
     options = parser.parse_args(arguments)
@@ -120,14 +114,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     def steps(now: Discovery) -> None:
         for a in now.additions[-1:]:
-            print(
-                f"  {' and '.join(a.effects)}: BIC {a.delta_bic:.0f}, rivals {a.rivals or a.delta_bic_rival}",
-                flush=True,
-            )
+            print(f"  {' and '.join(a.effects)}: BIC {a.delta_bic:.0f}, rivals {a.rivals or a.delta_bic_rival}")
+        print(ladder(now), flush=True)
 
-    found, test, adapt = SETS[options.set](options.seconds, max_effects=options.max_effects, progress=say, save=steps)
+    found = SETS[options.set](options.seconds, options.every, max_effects=options.max_effects, progress=say, save=steps)
     print(found.summary())
-    print(ladder(found, test, adapt))
+    print(ladder(found))
     names = [n for a in found.additions for n in a.effects]
     print("found by hand and found here:", ", ".join(n for n in FOUND_BY_HAND if n in names) or "none")
     print("adds nothing there and named:", ", ".join(n for n in ADDS_NOTHING if n in names) or "none")
