@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from greybox.cli import main
 from greybox.errors import ModelError, UnknownNameError
+from greybox.residual.files import save_model
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.exported import load, of
 from mpc_export.functions import model_functions
@@ -82,3 +84,15 @@ def test_unknown_functions_and_targets_are_refused(tmp_path):
     with pytest.raises(ModelError, match="learned part"):
         write_bundle(cases.physics(), tmp_path / "b", targets=("l4acados",), use_cache=False)
     assert not (tmp_path / "b").exists()
+
+
+def test_the_command_line_writes_runnable_scripts(tmp_path):
+    save_model(cases.hybrid(), tmp_path / "model.json")
+    out = tmp_path / "craft"
+    assert main(["export", str(tmp_path / "model.json"), "--out", str(out), "--target", "l4acados,fmu"]) == 0
+    assert sorted(p.name for p in (out / "examples").iterdir()) == ["fmu_simulate.py", "l4acados_hover.py"]
+    assert sorted(p.name for p in (out / "python" / "consumers").iterdir()) == [
+        "__init__.py", "exported.py", "hover.py", "l4acados.py"
+    ]  # fmt: skip
+    assert (out / "fmu" / "craft.fmu").is_file()
+    assert (out / "LICENSES" / "CasADi-MIT-0.txt").is_file()
