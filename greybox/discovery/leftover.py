@@ -96,13 +96,16 @@ class Promoted:
         return tuple(a for a in self.unnamed if a.lawful)
 
 
-def promote(found: Fit, data: Dataset, *, seed: int = 0) -> Promoted:
-    """Disturbance states on top of `found` (physics held, levels and time constants fitted), and laws for their axes."""
+def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -> Promoted:
+    """Disturbance states on top of `found` (physics held, levels and time constants fitted), and laws for their axes.
+
+    A dozen `iterations` are enough to show where a model that misses much is deficient; its gain is then a lower bound.
+    """
     groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in found.model.dynamics.noises.names))
     result = fit(
         found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
         values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
-        solver=LevenbergMarquardt(tolerance=TOLERANCE),
+        solver=LevenbergMarquardt(tolerance=TOLERANCE, max_iterations=iterations),
     )  # fmt: skip
     names = wanted_features(result.model.dynamics)
     seen = discrepancy(result.model, data, names)
