@@ -22,8 +22,8 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -57,12 +57,19 @@ KEPT = 16
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportBundle:
-    """A bundle on disk. `functions` is None for one that was loaded or came from the cache."""
+    """A bundle on disk; `source` builds the functions of the model that it was written from."""
 
     folder: Path
     manifest: Mapping[str, Any]
-    functions: ModelFunctions | None = None
+    source: Callable[[], ModelFunctions] | None = None
     cached: bool = False
+
+    @functools.cached_property
+    def functions(self) -> ModelFunctions:
+        """The model's functions and numbers. Raises `ModelError` for a bundle that was loaded: its model is not at hand."""
+        if self.source is None:
+            raise ModelError(f"{self.folder} was loaded, its model is not at hand", fix="use rebuild() and manifest")
+        return self.source()
 
     @property
     def name(self) -> str:
@@ -119,7 +126,8 @@ def write_bundle(
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
     key = _cache_key(model, options) if use_cache else None
     if key is not None and (found := _from_cache(key, place)) is not None:
-        return found
+        again = model if points is None else with_points(model, points)[0]
+        return replace(found, source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime))
     reduction: dict[str, Any] | None = None
     if points is not None:
         model, reduction = with_points(model, points)
@@ -138,7 +146,7 @@ def write_bundle(
         if key is not None:
             _into_cache(key, part)
         _move(part, place)
-    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), functions=functions)
+    return ExportBundle(folder=place, manifest=read_json(place / "manifest.json"), source=lambda: functions)
 
 
 def _write_parts(

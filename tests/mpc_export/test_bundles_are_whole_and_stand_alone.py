@@ -61,6 +61,8 @@ def test_the_manifest_follows_its_schema_and_names_every_file(tmp_path, kind):
 
 def test_a_loaded_bundle_rebuilds_its_functions(linear):
     back = ExportBundle.load(linear.folder)
+    with pytest.raises(ModelError, match="loaded"):
+        _ = back.functions
     f_d = back.rebuild(("f_d",))["f_d"]
     x, u = linear.functions.reference
     np.testing.assert_array_equal(f_d(x, u, []).full(), linear.functions["f_d"](x, u, []).full())
@@ -127,6 +129,7 @@ def test_the_second_export_comes_from_the_cache(tmp_path, cache):
     second = write_bundle(cases.linear(), tmp_path / "other" / "b")
     assert (first.cached, second.cached) == (False, True)
     assert content(first.folder) == content(second.folder)
+    assert list(second.functions.functions) == list(first.functions.functions)
     assert not write_bundle(cases.linear(), tmp_path / "b", real="float").cached
     assert not write_bundle(cases.linear((1, 0)), tmp_path / "b").cached
     damaged = next(cache.iterdir())
