@@ -96,6 +96,8 @@ def main() -> None:
         print(f"built in {built:.1f} s, solved in {1e3 * solved:.1f} ms, status {status} (0: solved)")
         print("first command:", dict(zip(model.inputs, np.round(inputs[0], 4).tolist())))
         print(f"largest difference to IPOPT: {difference:.1e}")
+    if status:
+        sys.exit(f"acados did not solve it: status {status}")
 
 
 if __name__ == "__main__":

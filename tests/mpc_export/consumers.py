@@ -17,7 +17,7 @@ import pytest
 from mpc_export.bundle import write_bundle
 from tests.mpc_export import cases
 
-ACADOS = os.environ.get("GREYBOX_ACADOS", "")
+ACADOS = os.environ.get("GREYBOX_ACADOS") or os.environ.get("ACADOS_SOURCE_DIR", "")
 """An installed acados, or the folder into which its wheel was unpacked: see .ci/run."""
 ALONE = """
 import runpy, sys

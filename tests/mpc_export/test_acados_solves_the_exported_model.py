@@ -72,6 +72,9 @@ def test_a_session_leaves_environment_and_path_as_they_were():
         assert os.environ["ACADOS_SOURCE_DIR"] == str(home)
         assert (home / "lib").is_dir()
         assert not (home / "casadi").exists(), "the wheel's own casadi must stay out of the way"
+        with session(home) as again:  # an installed acados looks like this
+            assert again == home
+        assert os.environ["ACADOS_SOURCE_DIR"] == str(home)
     assert dict(os.environ) == before
     assert sys.path == path
 
