@@ -59,7 +59,7 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
     fits: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.refits(tasks), strict=True):
-        if found.converged and not any(found.at_bound(n) for n in chosen):
+        if found.comparable and not any(found.at_bound(n) for n in chosen):
             fits[chosen] = found
     if not fits:
         return None

@@ -29,7 +29,7 @@ from greybox.estimation.initialisation import noise_start
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
-from greybox.estimation.status import Status
+from greybox.estimation.status import Code, Status
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel
 from greybox.model.sensor_noise import SensorNoise
@@ -78,6 +78,12 @@ class Refit:
     def converged(self) -> bool:
         """Whether the optimum was reached."""
         return self.status.converged
+
+    @property
+    def comparable(self) -> bool:
+        """Whether its likelihood can be held against others: the optimum, or a kink (a delay of whole samples) where no
+        step lowers the cost. It is a lower bound of what the model can do in any case."""
+        return self.converged or self.status.code is Code.NO_PROGRESS
 
     @property
     def bic(self) -> float:
