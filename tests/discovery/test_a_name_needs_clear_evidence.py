@@ -31,7 +31,7 @@ class Refits:
         return [
             SimpleNamespace(
                 effects=chosen, bic=self.bic.get(chosen, 1e9), at_bound=lambda name: name in self.bound,
-                converged=chosen not in self.failed, fit=SimpleNamespace(converged=chosen not in self.failed),
+                comparable=chosen not in self.failed, fit=SimpleNamespace(converged=chosen not in self.failed),
             )
             for chosen in tasks
         ]  # fmt: skip
