@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
+from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
@@ -256,6 +257,7 @@ class Discovery:
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
+@threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 def discover(
     vehicle: Vehicle,
     train: Dataset,
