@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -150,8 +150,7 @@ def write_c(
     if real == "float":
         text = single_precision(text)
     described = tuple(_describe(f, prefix, text) for f in functions)
-    for name in names:
-        text = _exported(text, name, f"{prefix}_{name}")
+    text = _exported(text, {n: f"{prefix}_{n}" for n in names})
     text = f'#include "{prefix}.h"\n\n{text.strip()}\n'
     source, header = Path(folder) / f"{prefix}.c", Path(folder) / f"{prefix}.h"
     source.parent.mkdir(parents=True, exist_ok=True)
@@ -196,7 +195,7 @@ def single_precision(text: str) -> str:
 
 def _definition(text: str, name: str) -> tuple[int, int]:
     """Where the definition of function `name` starts and ends. Raises `ModelError` unless there is exactly one."""
-    heads = [m for m in re.finditer(rf"\b{name} ?\(", text) if _defines(text, m)]
+    heads = [m for m in re.finditer(rf"{name} ?\(", text) if _defines(text, m)]
     if len(heads) != 1:
         raise ModelError(
             f"generated C defines {name} {len(heads)} times", expected="once", fix="report the CasADi version"
@@ -215,7 +214,7 @@ def _defines(text: str, name: re.Match[str]) -> bool:
     """Whether a name with its opening bracket starts a definition, not a call or a declaration."""
     before = text[text.rfind("\n", 0, name.start()) + 1 : name.start()]
     after = re.compile(r"[^;{}]*\)\s*\{").match(text, name.end())
-    return re.fullmatch(r"[a-z][\w \*]*", before) is not None and after is not None
+    return re.fullmatch(r"[a-z][\w \*]*[ \*]", before) is not None and after is not None
 
 
 def _replaced(text: str, name: str, body: str) -> str:
@@ -226,8 +225,9 @@ def _replaced(text: str, name: str, body: str) -> str:
 def _with_kernels(text: str, kernels: Sequence[CKernel], real: Real) -> tuple[str, tuple[str, ...]]:
     used: list[str] = []
     shared: dict[str, str] = {}
+    named = re.findall(r"^/\* (\w+):\(.*\) \*/\nstatic int (casadi_f\d+)\(", text, re.MULTILINE)
     for kernel in kernels:
-        found = re.findall(rf"^/\* {re.escape(kernel.name)}:\(.*\) \*/\nstatic int (casadi_f\d+)\(", text, re.MULTILINE)
+        found = [symbol for name, symbol in named if name == kernel.name]
         if len(found) > 1:
             raise ModelError(f"{len(found)} different functions are named {kernel.name}", expected="one")
         if found:
@@ -262,13 +262,23 @@ def _pruned(text: str) -> str:
             text = pattern.sub(lambda m, idle=idle: "" if m[1] in idle else m[0], text)  # type: ignore[misc]
 
 
-def _exported(text: str, name: str, symbol: str) -> str:
-    """With the exported functions of `name` renamed to those of `symbol`."""
-    pattern = rf"^(CASADI_SYMBOL_EXPORT [\w \*]+?\b){re.escape(name)}((?:_(?:{_SUFFIXES}))?\()"
-    changed, n = re.subn(pattern, rf"\g<1>{symbol}\g<2>", text, flags=re.MULTILINE)
-    if n == 0:
+def _exported(text: str, symbols: Mapping[str, str]) -> str:
+    """With the exported functions of each name renamed to those of its symbol."""
+    changed: set[str] = set()
+
+    def rename(match: re.Match[str]) -> str:
+        name = match[2]
+        if name not in symbols:
+            name = re.sub(rf"_(?:{_SUFFIXES})$", "", name)
+        if name not in symbols:
+            return match[0]
+        changed.add(name)
+        return f"{match[1]}{symbols[name]}{match[2][len(name) :]}("
+
+    text = re.sub(r"^(CASADI_SYMBOL_EXPORT [\w \*]*?)(\w+)\(", rename, text, flags=re.MULTILINE)
+    for name in symbols.keys() - changed:
         raise ModelError(f"generated C does not export {name}", fix="report the CasADi version")
-    return changed
+    return text
 
 
 # ------------------------------------------------------------------------------------------------ description
@@ -295,10 +305,10 @@ def _describe(f: Any, prefix: str, text: str) -> CFunction:
 
 
 def _definition_of_work(text: str, name: str) -> tuple[int, int]:
-    match = re.search(rf"^CASADI_SYMBOL_EXPORT int {re.escape(name)}_work\(.*?^}}", text, re.MULTILINE | re.DOTALL)
-    if match is None:
+    start = text.find(f"\nCASADI_SYMBOL_EXPORT int {name}_work(")
+    if start < 0:
         raise ModelError(f"generated C states no work sizes of {name}", fix="report the CasADi version")
-    return match.span()
+    return start, text.index("\n}", start)
 
 
 def _shape(port: Port) -> str:
