@@ -11,7 +11,8 @@ pytest.importorskip("gpytorch")
 
 @pytest.mark.slow
 def test_regions_cover_and_errors_fall_on_unseen_manoeuvres() -> None:
-    learned, checked = study(6, 15.0, 0, 40)
+    # Of seeds 0 to 3 the one whose regions are hardest to keep from being too small.
+    learned, checked = study(6, 15.0, 3, 40)
     assert not learned.null
     physics, hybrid = checked["physics"].table, checked["hybrid"].table
     assert physics is not None
