@@ -57,6 +57,8 @@ Array = NDArray[np.float64]
 LEVELS = {"tube-20": 0.20, "tube-10": 0.10, "tube-5": 0.05}
 CONTROLLERS = ("nominal", "pem", "hybrid", *LEVELS, "constant", "cascade")
 EFFECTS = ("motor_lag", "rotor_drag", "center_of_mass_offset")
+HELD = ("center_of_mass_offset.c_z",)
+"""A moment along the speed is flapping or a vertical offset: an offset is found on a balance, so it stays at zero here."""
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 ERRORS = {"inertia": 1.1, "thrust.c2": 0.92, "torque.c2": 1.1}
 CRASH = 100.0
@@ -98,7 +100,8 @@ def models(out: Path, report: Callable[[str], None] = print) -> dict[str, Identi
         report("identifying from one flight of 60 s")
         plain = fit(build_model(card, data.channels, ()), data, initialisation="nominal", disturbance=noise, free=())
         save_model(plain.model, out / "nominal.json")
-        fitted = fit(build_model(card, data.channels, EFFECTS), data, initialisation="nominal", disturbance=noise)
+        physics = build_model(card, data.channels, EFFECTS)
+        fitted = fit(physics, data, initialisation="nominal", disturbance=noise, fixed=HELD)
         save_model(fitted.model, out / "pem.json")
         report("learning what is left")
         save_model(learn(fitted.model, data, points=50, seed=0).model, out / "hybrid.json")
