@@ -9,7 +9,8 @@ excerpt of `--seconds` each, from the third second on), the gap is judged on the
 and position come from another clock than gyro, accelerometer and commands and drift against them by some 10 ms, hence
 noise on the attitude kinematics, and sensors' levels held at the vehicle file's.
 
-ARPL. log15 alone, IMU and commands on one clock: first half searched, second half judged.
+ARPL. log15 alone, IMU and commands on one clock, trims and biases known to be there: `--seconds` of the first half searched,
+the second half judged.
 
 After every step the errors 1, 10 and 50 samples ahead on the test flights are printed.
 """
@@ -17,12 +18,13 @@ After every step the errors 1, 10 and 50 samples ahead on the test flights are p
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.data import Dataset
+from greybox.data.checks import check
 from greybox.data.logs import read_logs
 from greybox.discovery.workflow import Discovery, discover
 from greybox.files import write_json
@@ -43,9 +45,9 @@ FOUND_BY_HAND = ("battery_sag", "rotor_drag", "blade_flapping", "rotational_damp
 ADDS_NOTHING = ("ground_effect", "axial_inflow", "rotor_gyroscopic")
 
 
-def with_nuisance(vehicle: Vehicle) -> Vehicle:
-    """The vehicle that knows what differs between flights."""
-    known = {e: {p: Quantity(value=0.0, sigma=s) for p in ps} for e, (ps, s) in NUISANCE.items()}
+def with_nuisance(vehicle: Vehicle, names: Iterable[str] = NUISANCE) -> Vehicle:
+    """The vehicle that knows what differs between flights: the effects `names` of `NUISANCE`."""
+    known = {e: {p: Quantity(value=0.0, sigma=NUISANCE[e][1]) for p in NUISANCE[e][0]} for e in names}
     return replace(vehicle, effects={**vehicle.effects, **known})
 
 
@@ -64,19 +66,20 @@ def nanobench(seconds: float, every: int = 1, **options: Any) -> Discovery:
     """What was found in excerpts of every `every`-th training flight."""
     vehicle = with_nuisance(read_vehicle(vehicle_path("nanobench")))
     data = read_logs(flight_paths("nanobench"), vehicle)
-    test = data.select(NANOBENCH_TEST)
+    train, test = data.select(NANOBENCH_TRAIN[::every]), data.select(NANOBENCH_TEST)
     return discover(
-        vehicle, excerpt(data.select(NANOBENCH_TRAIN[::every]), seconds), test, adapt=5.0, kinematic_noise=True,
+        vehicle, excerpt(train, seconds), test, faults=check(train + test, vehicle), adapt=5.0, kinematic_noise=True,
         per_flight=PER_FLIGHT, fixed=("mass",), hold_sensor_noise=True, **options,
     )  # fmt: skip
 
 
 def arpl(seconds: float, every: int = 1, **options: Any) -> Discovery:
     """The same for the ARPL log: `seconds` of its first half are searched (there is one flight, whatever `every`)."""
-    vehicle = read_vehicle(vehicle_path("arpl_crazyflie"))
+    trims = ("accelerometer_bias", "gyro_bias", "rotor_asymmetry")
+    vehicle = with_nuisance(read_vehicle(vehicle_path("arpl_crazyflie")), trims)
     data = read_logs([flight_path("arpl_crazyflie", "log15")], vehicle, rate=100.0)
     first, second = data.split_by_time(0.5)
-    return discover(vehicle, excerpt(first, seconds), second, **options)
+    return discover(vehicle, excerpt(first, seconds), second, faults=check(data, vehicle), **options)
 
 
 SETS = {"nanobench": nanobench, "arpl": arpl}
