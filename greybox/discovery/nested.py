@@ -11,6 +11,7 @@ Fits are tasks: plain values in, plain values out. With an executor (concurrent.
 from __future__ import annotations
 
 import concurrent.futures
+import os
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,6 +25,7 @@ from greybox.discovery.candidates import Candidates
 from greybox.discovery.differences import widened
 from greybox.discovery.screen import Key, Score, screen
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.predictors.innovation import Innovation
@@ -147,6 +149,12 @@ def _canonical(model: Any) -> Any:
     return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))
 
 
+def _prepare(task: Task) -> None:
+    """Build the step that the task needs."""
+    model = _canonical(task.model)
+    engine_for(model, tuple(d.name for d in model.parameters if d.name in task.free))
+
+
 def solve(task: Task, data: Dataset) -> Refit:
     """Carry out one task. Raises `DataError`, `ModelError`."""
     with threadpool_limits(limits=1):
@@ -211,6 +219,9 @@ class Nest:
         known = {i: r for i, t in enumerate(tasks) for r in self.recent if r.task == t}
         left = [i for i in range(len(tasks)) if i not in known]
         if self.executor is None or len(left) < 2 or not all(_sendable(tasks[i]) for i in left):
+            # Compilers are processes: those of several models run side by side.
+            with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+                list(pool.map(_prepare, [tasks[i] for i in left]))
             new = [solve(tasks[i], self.data) for i in left]
         else:
             new = [f.result() for f in [self.executor.submit(solve, tasks[i], self.data) for i in left]]

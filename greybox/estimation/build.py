@@ -20,6 +20,8 @@ from greybox.errors import GreyboxError
 
 MODEL_FLAGS = ("-O1", "-fPIC", "-w")
 """Straight-line generated code: -O1 is about as fast as -O2 and compiles several times quicker."""
+SHARED = frozenset({"gb_driver.c", "gb_ekf.c"})
+"""Hand-written sources, compiled once for all models."""
 DRIVER_FLAGS = ("-O3", "-march=native", "-fPIC", "-w")
 
 
@@ -65,6 +67,12 @@ def cache_dir() -> Path:
     return Path(tempfile.mkdtemp(prefix="greybox-build-"))
 
 
+def _object(cc: str, name: str, text: str, flags: Sequence[str]) -> Path:
+    """Where the object file of one source is kept."""
+    digest = hashlib.sha256(f"{_version(cc)}\0{name}\0{' '.join(flags)}\0{text}".encode())
+    return cache_dir() / f"{digest.hexdigest()}.o"
+
+
 def build(
     sources: Sequence[tuple[str, str, Sequence[str]]],
     rewrite: Mapping[str, Callable[[str], str]] | None = None,
@@ -90,18 +98,26 @@ def build(
     if target.exists():
         return target
     with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
-        objects, running = [], []
+        objects: list[str] = []
+        running: list[tuple[subprocess.Popen[str], str, Path | None]] = []
         for name, text, flags in sources:
+            # Sources that no rewriting touches and that are written by hand come again with every model.
+            kept = _object(cc, name, text, flags) if name in SHARED else None
             path = Path(folder) / name
+            objects.append(str(kept if kept is not None and kept.exists() else path.with_suffix(".o")))
+            if objects[-1] == str(kept):
+                continue
             path.write_text((rewrite or {}).get(name, str)(text))
-            objects.append(str(path.with_suffix(".o")))
-            running.append(
-                subprocess.Popen([cc, *flags, "-c", str(path), "-o", objects[-1]], stderr=subprocess.PIPE, text=True)
-            )
-        for process in running:
+            command = [cc, *flags, "-c", str(path), "-o", objects[-1]]
+            running.append((subprocess.Popen(command, stderr=subprocess.PIPE, text=True), objects[-1], kept))
+        for process, made, kept in running:
             _, complaint = process.communicate()
             if process.returncode:
                 raise BuildError(f"the C compiler failed: {complaint.strip().splitlines()[:1]}", where=cc)
+            if kept is not None:
+                copy = Path(folder) / f"{kept.name}.copy"
+                shutil.copyfile(made, copy)
+                os.replace(copy, kept)
         library = str(Path(folder) / "out.so")
         done = subprocess.run(
             [cc, "-shared", "-o", library, *objects, *link, "-lm"], capture_output=True, text=True, check=False
