@@ -93,14 +93,16 @@ def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[NestedFit | No
     return (None if gain > CLEAR or not smaller.fit.converged else smaller), gain
 
 
-def prune(nest: Nest, at: NestedFit, additions: Sequence[Addition]) -> tuple[NestedFit, list[Addition], list[str]]:
-    """Leave out, one by one, what is not needed next to the others.
+def prune(
+    nest: Nest, at: NestedFit, additions: Sequence[Addition], *, single: bool = False
+) -> tuple[NestedFit, list[Addition], list[str]]:
+    """Leave out, one by one, what is not needed next to the others; with `single` also an addition that is alone.
 
     The last addition is tried as well: it may only have led the others out of a local optimum.
     Returns the last fit, the additions with the effects that stay, and a sentence for every effect that went.
     """
     notes = []
-    for earlier in additions if len(additions) > 1 else ():
+    for earlier in additions if len(additions) > 1 or single else ():
         for name in earlier.effects:
             smaller, gain = still_needed(nest, at, name)
             if smaller is not None:

@@ -65,7 +65,7 @@ def parts_of(dynamics: Any) -> tuple[NoisePart, ...]:
     return dynamics.parts if isinstance(dynamics, SensorNoise) else ()
 
 
-def with_parts(nest: Nest, parts: Iterable[NoisePart], noise: Mapping[str, float] | None = None) -> Nest:
+def with_parts(nest: Nest, parts: Iterable[NoisePart]) -> Nest:
     """The same candidates on a model with these parts. Time constants of filters are free in every fit, those of noise stay
     at the start values of its part."""
     chosen = tuple(parts)
@@ -73,7 +73,7 @@ def with_parts(nest: Nest, parts: Iterable[NoisePart], noise: Mapping[str, float
     filters = tuple(f"{p.name}.T" for p in chosen if p.kind == "low_pass")
     core = (*(n for n in offered.core if not n.startswith("low_pass.")), *filters)
     model: Any = SensorNoise(inner=white(offered.model), parts=chosen)
-    return replace(nest, candidates=replace(offered, model=model, core=core), noise=noise or nest.noise)
+    return replace(nest, candidates=replace(offered, model=model, core=core))
 
 
 def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, NestedFit, dict[str, float]] | None:
@@ -92,7 +92,9 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     late = rival.fit.parameters["sensor_delay.d"].value if "sensor_delay" in rival.effects else FILTER
     first: dict[tuple[str, str | None], float] = {(f"{p.name}.T", None): max(late, 0.25 * FILTER) for p in parts}
     now = filtered.refit(at.effects, start=rival, first=first)
-    if not now.bic < min(rival.bic, at.bic - CLEAR):
+    # A filter at a bound is a way round something else that is missing.
+    bent = any(now.fit.parameters[f"{p.name}.T"].at_bound for p in parts)
+    if bent or not now.fit.converged or not now.bic < min(rival.bic, at.bic - CLEAR):
         return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
 
@@ -133,6 +135,14 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
     found = tuple(replace(p, time=_time(best, p), frequency=_frequency(best, p)) for p in parts)
     levels = {n: v for n, v in noise_of(best.model).items() if not n.startswith("noise.process.disturbance.")}
     return Suspected(parts=(*had, *found), gains=gains, noise=levels)
+
+
+def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFit]:
+    """The candidates and the fit `at` with the chosen noise, started from the levels that it was chosen with."""
+    again = with_parts(nest, noise.parts)
+    task = again.task(at.effects, start=at)
+    known = dict(task.known or {}) | {(n, None): float(np.log(v)) for n, v in noise.noise.items()}
+    return again, again.settle(again.refits([replace(task, known=known)])[0])
 
 
 def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:

@@ -29,11 +29,11 @@ from greybox.discovery.screen import Score
 from greybox.discovery.sensor_noise import (
     TIMING,
     coloured_sensors,
+    dressed,
     filtered_imu,
     parts_of,
     plain_model,
     sensor_table,
-    with_parts,
 )
 from greybox.discovery.spectrum import Spectrum, spectrum
 from greybox.discovery.verify import gap_rows, verified, with_proposals
@@ -334,11 +334,9 @@ def discover(
     say("noise of the sensors", 0.72)
     noise = coloured_sensors(done.at.fit, train)
     if noise is not None:
-        nest = with_parts(done.nest, noise.parts, noise.noise)
-        null = nest.refit(())
-        earlier = done.filters
-        done = search.run(nest, null)
-        done.filters.update(earlier)
+        say("search with the sensors' own noise", 0.73)
+        again, at = dressed(done.nest, done.at, noise)
+        done = search.run(again, at, done)
     nest, at, additions, scores = done.nest, done.at, done.additions, done.scores
     withheld = done.withheld
     warnings += done.warnings
@@ -418,11 +416,14 @@ class _Search:
     say: Progress
     interim: Callable[[NestedFit, Iterable[Addition]], None]
 
-    def run(self, nest: Nest, at: NestedFit) -> _Found:
-        """From the fit `at` without any addition until no candidate passes."""
+    def run(self, nest: Nest, at: NestedFit, before: _Found | None = None) -> _Found:
+        """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself."""
         additions, withheld, warnings = list[Addition](), list[Withheld](), list[str]()
         scores: list[Score] = []
         filters: dict[str, float] = {}
+        if before is not None:
+            filters |= before.filters
+            at, additions, warnings = prune(nest, at, before.additions, single=True)
         for step in range(self.max_effects + 1):
             self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
             scores = nest.screen(at, alpha=self.alpha, seed=self.seed)

@@ -125,7 +125,8 @@ class SensorNoise:
             if part.kind != "drift":
                 own.append(
                     Parameter(
-                        name=f"{part.name}.T", unit="s", nominal=part.time, lower=0.001, upper=1.0, scale=part.time,
+                        name=f"{part.name}.T", unit="s", nominal=part.time, lower=0.001,
+                        upper=0.1 if part.kind == "low_pass" else 1.0, scale=part.time,
                         meaning=f"time constant, {part.kind} {part.sensor}",
                     )
                 )  # fmt: skip
