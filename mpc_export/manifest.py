@@ -62,6 +62,7 @@ def manifest_of(
         "groups": list(groups),
         "functions": [_function(fn, g) for fn, g in zip(f.functions.values(), golden, strict=True)],
         "values": {k: float(v) for k, v in sorted(f.sampled.values.items())},
+        "flight_spread": {k: list(v) for k, v in model.flight_spread.items()} if isinstance(model, IdentifiedModel) else {},
         "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
         "noise": {
             "process": f.noise.process, "gain": f.noise.gain, "innovation": f.noise.innovation,

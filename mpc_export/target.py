@@ -22,21 +22,23 @@ from greybox.frames import euler_zyx
 from greybox.symbolic import Expr, Layout, Signal
 from mpc_export.sampled import Sampled
 
-RIDGE = 1e-7
-"""Rows of this size times the identity stand under the conditions, whose own rows have length one."""
+RIDGE = 1e-3
+"""Rows of this size times the identity stand under the conditions, whose own rows have length one: where conditions
+are fewer than unknowns, single precision needs them, and Newton steps stay as quick."""
+ANGLES = ("phi", "theta", "psi")
 SIZES = {"d_position": 1.0, "d_velocity": 1.0, "d_attitude": 0.3, "d_rate": 1.0, "d_rotor": 0.3}
 
 
 def tracked(sampled: Sampled) -> Layout:
-    """What the target holds: position or else velocity (world) and heading, or else as many outputs as there are commands.
-
-    Heading is psi [rad] (ZYX). Raises `ModelError` for a model that has neither.
-    """
+    """What the target holds: position or else velocity (world) with the heading psi, or else the attitude (phi, theta, psi),
+    or else the rates; of models that do not fly as many outputs as there are commands. Angles are ZYX, in rad."""
     names = sampled.dynamics.states.names
     for block in ("position", "velocity"):
         if f"{block}.x" in names and "attitude.w" in names:
             rows = [sampled.dynamics.states.signals[sampled.dynamics.states[f"{block}.{a}"]] for a in "xyz"]
             return Layout([*rows, Signal(name="psi", unit="rad", meaning="heading, ZYX")])
+    if "attitude.w" in names:
+        return Layout([Signal(name=n, unit="rad", meaning="Euler angle, ZYX") for n in ANGLES])
     if "rate.x" in names:
         return Layout([sampled.dynamics.states.signals[sampled.dynamics.states[f"rate.{a}"]] for a in "xyz"])
     return Layout(list(sampled.dynamics.outputs)[: len(sampled.inputs)])
@@ -46,8 +48,8 @@ def _held(sampled: Sampled, targets: Layout, x: Expr, y: Expr) -> Expr:
     states, outputs = sampled.dynamics.states, sampled.dynamics.outputs
     rows = []
     for n in targets.names:
-        if n == "psi" and "attitude.w" in states:
-            rows.append(euler_zyx(x[[states[f"attitude.{a}"] for a in "wxyz"]])[2])
+        if n in ANGLES and "attitude.w" in states:
+            rows.append(euler_zyx(x[[states[f"attitude.{a}"] for a in "wxyz"]])[ANGLES.index(n)])
         elif n in states:
             rows.append(x[states[n]])
         else:
@@ -85,9 +87,9 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     sx, sy, sr = ca.SX.sym("x", len(sampled.states)), ca.SX.sym("y", y.numel()), ca.SX.sym("r", len(targets))
     value = _held(sampled, targets, sx, sy)
     into, _ = sampled.chart(sx, sx)
-    # A heading is reached the short way round.
+    # An angle is reached the short way round.
     rows = [sr[i] - value[i] for i in range(len(targets))]
-    away = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n == "psi" else v for n, v in zip(targets.names, rows)))
+    away = ca.vertcat(*(ca.atan2(ca.sin(v), ca.cos(v)) if n in ANGLES else v for n, v in zip(targets.names, rows)))
     parts = (away, ca.jacobian(value, sx) @ into[:, moving], ca.jacobian(value, sy), into[:, moving])
     hold = ca.Function("held", [sx, sy, sr], [ca.densify(v) for v in parts])
     missing, by_state, by_output, chart = hold(still, y, r)

@@ -16,11 +16,16 @@ import pytest
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import OutputError
+from greybox.model.effects import effect_by_name
+from greybox.model.model import PhysicsModel
+from greybox.model.sensors import SENSORS
 from mpc_export import bundle as bundle_module
 from mpc_export import verify
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.points import reduced, with_points
+from tests.conformance import specimen
 from tests.mpc_export import cases, compiled
+from tests.residual import hybrid_cases
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -213,6 +218,40 @@ def test_the_verifier_says_in_one_line_what_is_no_bundle(tmp_path):
     done = run_verifier(tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def odd_model(kind: str):
+    """Models with fewer states, other inputs, or of the user's own making."""
+    if kind == "own":
+        return hybrid_cases.pendulum_model()
+    sensors = tuple(s for s in SENSORS if s.name in {"imu": ("gyro",), "speed": ("gyro", "attitude")}[kind])
+    how = {"imu": {"effects": (effect_by_name("motor_lag"),)}, "speed": {"input": "speed"}}[kind]
+    dynamics = PhysicsModel(vehicle=specimen.crooked(), sensors=sensors, sample_time=0.01, **how)
+    model = hybrid_cases.craft_model(dynamics)
+    level = 400.0 if kind == "speed" else 0.5
+    return replace(
+        model, reference_state=dynamics.reference({}), reference_inputs=np.full(4, level), covariance_names=(),
+        covariance=np.zeros((0, 0)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["imu", "speed", "own"])
+def test_models_of_other_shapes_pass_the_verifier(tmp_path, kind, capsys):
+    compiled.needs_compiler()
+    made = write_bundle(
+        odd_model(kind), tmp_path / kind, real="float", with_=("filter", "covariance", "target"), use_cache=False
+    )
+    jsonschema.validate(made.manifest, compiled.manifest_schema())
+    assert verify.verify(made.folder)
+    assert "C: largest difference" in capsys.readouterr().out
+    if kind == "imu":
+        assert not any(s["name"].startswith("attitude") for s in made.manifest["states"])
+        assert [s["name"] for s in made.manifest["targets"]] == ["rate.x", "rate.y", "rate.z"]
+    if kind == "speed":
+        assert made.manifest["inputs"][0]["name"] == "omega1"
+        assert made.manifest["inputs"][0]["upper"] > 100.0
+    if kind == "own":
+        assert made.manifest["inputs"][0]["upper"] is None
 
 
 def test_limits_and_schema_are_the_same_on_both_sides():
