@@ -63,11 +63,12 @@ class GapRow:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Foresight:
     """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`; and the
-    log likelihood of the one-step errors (after the adaptation)."""
+    log likelihood of the one-step errors of `samples` samples (after the adaptation)."""
 
     own: Squares
     floor: Squares
     loglik: float
+    samples: int = 1
 
 
 def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
@@ -88,7 +89,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     longest = max(steps.values())
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
-    loglik = 0.0
+    loglik, samples = 0.0, 0
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
@@ -104,6 +105,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             bare = Segment(t=segment.t, channels=seen, flight=segment.flight, extra=segment.extra)
             filtered = runner.run(bare, p=p)
             loglik += _loglik(filtered, late[0])
+            samples += late.size
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
             second = np.asarray((segment.t[origins] - segment.t[0]) // 1.0, dtype=int)
@@ -113,7 +115,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return Foresight(own=own, floor=floor, loglik=loglik)
+    return Foresight(own=own, floor=floor, loglik=loglik, samples=max(samples, 1))
 
 
 def _loglik(filtered: Filtered, begin: int) -> float:

@@ -64,7 +64,7 @@ def seen(level: float, loglik: float, seed: int = 0) -> Foresight:
     """Errors of that mean square, twelve seconds of flight."""
     rng = np.random.default_rng(seed)
     own = {("rate", h): [level * rng.uniform(0.8, 1.2, 20) for _ in range(12)] for h in (0.0, 0.1, 0.5)}
-    return Foresight(own=own, floor={}, loglik=loglik)
+    return Foresight(own=own, floor={}, loglik=loglik, samples=1000)
 
 
 def test_the_gain_ahead_is_the_relative_fall_of_the_mean_square():
@@ -101,6 +101,11 @@ def test_held_out_flights_decide():
     assert grown.ahead_gain < 0
     nothing = verdict(seen(4.0, 0), seen(4.0, 5))
     assert nothing is not None
+
+
+def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():
+    assert verdict(seen(4.0, 0), seen(6.0, 99)) is not None
+    assert verdict(seen(4.0, 0), seen(6.0, 101)) is None
 
 
 def test_an_effect_of_a_sensor_need_not_look_ahead():
