@@ -4,8 +4,8 @@ Likelihood on the training flights takes whatever bends the model towards the da
 checks stand against that.
 
 1. Held-out flights. With the effect the one-step errors of flights that were not searched must be more likely, and, unless
-   they are far more likely or it is an effect of a sensor, open-loop errors up to a second ahead must not grow: the relative change of the mean square,
-   averaged over channel groups and horizons, with the spread between blocks of one second.
+   they are far more likely or it is an effect of a sensor, open-loop errors up to a second ahead must not grow: the relative
+   change of the mean square, averaged over channel groups and horizons, with the spread between blocks of one second.
 2. What is left. Where the force or torque that the effect acts on still follows a law that is larger than the effect, or
    misses far more than the effect explained, the effect only bends towards something else: the name is taken back and
    the axis is reported as unnamed.
@@ -35,8 +35,8 @@ WORSE = -1.0
 NOTHING = 1e-3
 """Relative change of the mean square ahead below which an effect adds nothing, unless that is clear."""
 PLAIN = 0.1
-"""Log likelihood per sample gained one step ahead above which the errors further ahead are not asked: as long as much else is
-missing they are those of the rest, and a right addition may raise them."""
+"""Log likelihood per sample gained one step ahead above which the errors further ahead are not asked: as long as much else
+is missing they are those of the rest, and a right addition may raise them."""
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
 MUCH = 5.0
