@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -247,8 +247,9 @@ def test_cmake_builds_tests_and_installs(hybrid, tmp_path):
 @pytest.mark.slow
 def test_export_and_compilation_stay_within_their_budget(tmp_path):
     model = cases.hybrid(100)
-    start = time.monotonic()
+    # Processor time of Python and compiler together: the clock on the wall would measure what else runs.
+    start = sum(os.times()[:4])
     bundle = write_bundle(model, tmp_path / "big", use_cache=False)
     compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O2")
-    assert time.monotonic() - start < 10.0
+    assert sum(os.times()[:4]) - start < 10.0
     assert bundle.manifest["c"]["source_bytes"] < 3e6
