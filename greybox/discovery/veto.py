@@ -39,6 +39,8 @@ PLAIN = 0.1
 is missing they are those of the rest, and a right addition may raise them."""
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
+CONSTANT = frozenset({"constant_force"})
+"""Effects without a signal: any law has a mean, which they take."""
 MUCH = 5.0
 """How much more than the effect explained an axis may miss after it, in BIC, where what it misses follows no law."""
 TOUCHED = 0.3
@@ -189,9 +191,10 @@ def misfit_of(
     effects: Sequence[str], kinds: Collection[str], size: Mapping[str, float], left: Sequence[Leftover], gained: float
 ) -> Withheld | None:
     """The same for effects that act on `kinds` ("force", "torque") with an RMS `size` per axis."""
-    for law in left:
-        if law.channel.split(".")[0] not in kinds:
-            continue
+    near = [law for law in left if law.channel.split(".")[0] in kinds]
+    if set(effects) <= CONSTANT and any(law.lawful for law in near) and sum(law.gain for law in near) > gained:
+        return Withheld(effects=tuple(effects), reason="it is the mean of what still follows a law after it")
+    for law in near:
         if (
             law.lawful
             and law.share * law.rms**2 > LEFT * size.get(law.channel, 0.0) ** 2

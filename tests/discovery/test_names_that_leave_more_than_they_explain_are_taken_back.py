@@ -60,6 +60,14 @@ def test_an_effect_without_a_wrench_is_not_judged_by_it_but_by_its_sensor():
     assert misfit_of(("gyro_bias",), {"torque"}, {}, left, 100) is None
 
 
+def test_a_constant_that_is_the_mean_of_a_law_is_no_name():
+    size = {f"force.{a}": 1.0 for a in "xyz"}
+    left = [law("force.x", rms=0.5, share=0.9, gain=80), law("force.y", rms=0.5, share=0.0, gain=40, terms={})]
+    assert misfit_of(("constant_force",), {"force"}, size, left, 100) is not None
+    assert misfit_of(("constant_force",), {"force"}, size, left[1:], 100) is None
+    assert misfit_of(("rotor_drag",), {"force"}, size, left, 100) is None
+
+
 def seen(level: float, loglik: float, seed: int = 0) -> Foresight:
     """Errors of that mean square, twelve seconds of flight."""
     rng = np.random.default_rng(seed)
