@@ -77,7 +77,8 @@ def with_parts(nest: Nest, parts: Iterable[NoisePart]) -> Nest:
 
 
 def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, NestedFit, dict[str, float]] | None:
-    """(nest, fit, BIC gain of the whole filter by part name) with a low-pass of the IMU, where BIC prefers it to `rival`.
+    """(nest, fit, BIC gain of the whole filter by part name) with a low-pass of the IMU, where BIC prefers it to `rival`,
+    or it and one of the rival's effects to the rival.
 
     `at` is the fit without either. None where the IMU is filtered already, or is not there, or the filter does not win.
     """
@@ -94,8 +95,14 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     now = filtered.refit(at.effects, start=rival, first=first)
     # A filter at a bound is a way round something else that is missing.
     bent = any(now.fit.parameters[f"{p.name}.T"].at_bound for p in parts)
-    if bent or not now.fit.converged or not now.bic < min(rival.bic, at.bic - CLEAR):
+    if bent or not now.fit.converged or not now.bic < at.bic - CLEAR:
         return None
+    if now.bic >= rival.bic:
+        # Lag and delay together may stand in for a filter and one of them, which is then named next to the filter.
+        added = [e for e in rival.effects if e not in at.effects]
+        with_one = [filtered.task((*at.effects, e), start=rival, first=first) for e in added]
+        if not any(r.converged and r.bic < rival.bic - CLEAR for r in filtered.refits(with_one)):
+            return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
 
 
