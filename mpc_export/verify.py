@@ -2,9 +2,10 @@
 
 Checks that the files are whole; compiles c/ strictly, runs the self-test, and calls every function from a shared library at
 every golden point; replays python/ (rebuild) and casadi/ where casadi is installed. Prints the largest differences, in units
-of each output's scale. Exit code 0: all agree; 1: something does not; 2: not a bundle.
+of each output's scale. Exit code 0: all agree; 1: something does not, or nothing could be compared; 2: not a bundle.
 
-Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox nor this package.
+Stands alone: the standard library, and casadi and numpy for the rebuild. It imports neither greybox nor this package. It
+runs the bundle's C and its rebuild.py: checksums find damage, not malice, so verify what comes from a source you trust.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import hashlib
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 SCHEMA = "greybox.bundle/1"
@@ -39,16 +41,33 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest, checked by schema. Raises `VerifyError`."""
     try:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise VerifyError(f"{folder}: not a bundle ({error})") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
         raise VerifyError(f"{folder}: not a bundle of this version, expected schema {SCHEMA}")
     return manifest
 
 
+def check_names(manifest: Mapping[str, Any]) -> None:
+    """Names that become paths and symbols lead nowhere else. Raises `VerifyError`."""
+    for name in (manifest["name"], *(f["name"] for f in manifest["functions"])):
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+            raise VerifyError(f"manifest.json: {name!r} is not the name of a bundle or of a function")
+    for name in manifest["files"]:
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts or "\\" in name:
+            raise VerifyError(f"manifest.json: {name!r} is not a file of the bundle")
+
+
+def seal(manifest: Mapping[str, Any]) -> str:
+    """Checksum of a manifest: SHA-256 of its canonical JSON without the checksum. Raises `ValueError` for NaN."""
+    rest = {k: v for k, v in manifest.items() if k != "checksum"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()).hexdigest()
+
+
 def changed_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
     """Files that are missing or not as they were written."""
-    out = []
+    out = [] if manifest.get("checksum") == seal(manifest) else ["manifest.json"]
     for name, digest in manifest["files"].items():
         path = folder / name
         if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
@@ -87,7 +106,9 @@ def gap(function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Seque
 
 
 def find_compiler(asked: str | None) -> str:
-    """$CC, cc, gcc or clang. Raises `VerifyError`."""
+    """The one asked for, or else $CC, cc, gcc or clang. Raises `VerifyError`."""
+    if asked and not shutil.which(asked):
+        raise VerifyError(f"no compiler {asked}")
     for name in (asked, os.environ.get("CC"), "cc", "gcc", "clang"):
         if name and (found := shutil.which(name)):
             return found
@@ -211,6 +232,7 @@ def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[s
 def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) -> bool:
     """Verify a bundle and print what was found. Raises `VerifyError` where that cannot be done."""
     manifest = read_manifest(folder)
+    check_names(manifest)
     print(f"{folder}: {manifest['name']}, {manifest['model']['name']}")
     changed = changed_files(folder, manifest)
     if changed:
@@ -219,7 +241,9 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
     if manifest["c"] and with_c:
         found["C"] = (verify_c(folder, manifest, find_compiler(compiler)), manifest["tolerance"])
     found |= {k: (v, REBUILD_LIMIT) for k, v in verify_casadi(folder, manifest).items()}
-    good = not changed
+    if not found:
+        print("  nothing was compared: it needs a C compiler or casadi")
+    good = bool(found) and not changed
     for what, (gaps, limit) in found.items():
         name = max(gaps, key=lambda n: gaps[n])
         passed = gaps[name] <= limit
@@ -247,7 +271,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0 if verify(arguments.folder, arguments.cc, with_c=not arguments.no_c) else 1
     except VerifyError as error:
         print(f"verify: {error}", file=sys.stderr)
-        return 1
+    except Exception as error:  # damage shows wherever the bundle is read
+        print(f"verify: {arguments.folder}: damaged ({type(error).__name__}: {error})", file=sys.stderr)
+    return 1
 
 
 if __name__ == "__main__":
