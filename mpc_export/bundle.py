@@ -33,9 +33,14 @@ import numpy as np
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.estimation.build import cache_dir
 from greybox.files import OutputError, checksum, file_sha256, read_json, to_plain, write_atomic, write_json
+from greybox.model.disturbance import Disturbed
+from greybox.model.effects_file import own_effects
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.linear import LinearModel
+from greybox.model.model import PhysicsModel
+from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
+from greybox.residual.hybrid import HybridModel
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import gp_kernels
 from mpc_export.c_model import CModel, check_name
@@ -201,7 +206,7 @@ def is_bundle(folder: Path) -> bool:
     """Whether a folder holds a manifest of ours."""
     try:
         return bool(json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("schema") == SCHEMA)
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return False
 
 
@@ -238,9 +243,11 @@ def _move(part: Path, place: Path) -> None:
         if place.exists():
             os.rename(place, old)
         os.rename(part, place)
-    except OSError as error:
+    except BaseException as error:  # an interrupt between the two must not cost the old one
         if old.exists() and not place.exists():
             os.rename(old, place)
+        if not isinstance(error, OSError):
+            raise
         raise OutputError(f"cannot write: {error.strerror}", where=str(place), fix="choose another --out") from None
 
 
@@ -259,13 +266,27 @@ def _code_digest() -> str:
 
 
 def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str | None:
-    """None for a model that has no file form (parts of the user's own)."""
+    """None for a model that a key cannot tell from others: no file form, or code of the user's own in no known file."""
+    if _has_unknown_code(model):
+        return None
     try:
         body = model.to_dict() if isinstance(model, LinearModel) else model_to_dict(model)
     except ModelError:
         return None
     body = {k: v for k, v in body.items() if k != "versions"}
     return checksum({"model": body, "options": options, "code": _code_digest(), "versions": library_versions()})
+
+
+def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
+    """Whether code shapes the model that neither this package nor the checksum of an effects file stands for."""
+    part: Any = model.dynamics if isinstance(model, IdentifiedModel) else model
+    while type(part) in (HybridModel, Disturbed):
+        part = part.inner
+    if type(part) is not PhysicsModel:
+        return type(part) is not LinearModel
+    known = {type(sensor) for sensor in SENSORS}
+    own = own_effects(part.effects).values()
+    return any(type(s) not in known for s in part.sensors) or any(e["sha256"] is None for e in own)
 
 
 def _from_cache(key: str, place: Path) -> ExportBundle | None:

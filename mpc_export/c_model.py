@@ -20,7 +20,7 @@ from greybox.errors import ModelError
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.c_code import CFunction, CSource, Port
 from mpc_export.functions import ModelFunctions
-from mpc_export.golden import Golden
+from mpc_export.golden import FARTHEST, Golden
 
 CODES = (
     ("OK", "results are written"),
@@ -37,6 +37,10 @@ KEYWORDS = frozenset({
     "while", "class", "new", "delete", "namespace", "template", "this", "throw", "try", "catch", "bool",
     "true", "false", "private", "public", "protected", "virtual", "operator", "using",
 })  # fmt: skip
+TAKEN = frozenset(
+    {"all", "c", "clean", "depend", "edit_cache", "help", "install", "m", "package", "rebuild_cache", "test"}
+)
+"""CMake targets of these names there are already; lib`c` and lib`m` are the system's."""
 LISTED = 120
 """A layout longer than this (the weights of a learned part) is not listed name by name."""
 
@@ -48,6 +52,8 @@ def check_name(name: str) -> str:
             "the bundle's name is not a C identifier", expected="letters, digits and underscores, a letter first",
             got=repr(name), fix="--name quad",
         )  # fmt: skip
+    if name.lower() in TAKEN:
+        raise ModelError("the bundle's name is taken in C builds", got=repr(name), fix="--name quad")
     return name
 
 
@@ -58,8 +64,11 @@ def identifier(name: str) -> str:
 
 def abi_number(functions: ModelFunctions, source: CSource) -> int:
     """32 bits that change whenever the layout of an argument or a result does."""
-    layouts = [functions.states, functions.inputs, functions.parameters, functions.outputs, functions.error_states]
-    text = repr([(s.name, s.unit) for layout in layouts for s in layout])
+    f = functions
+    layouts = [
+        f.states, f.inputs, f.parameters, f.outputs, f.error_states, f.innovations, f.features, f.learned, f.targets,
+    ]  # fmt: skip
+    text = repr([(s.name, s.unit) for layout in layouts for s in layout]) + repr(list(f.covariance_names))
     text += repr([(f.name, [(p.name, p.rows, p.columns) for p in (*f.inputs, *f.outputs)]) for f in source.functions])
     return int(hashlib.sha256((text + source.real).encode()).hexdigest()[:8], 16)
 
@@ -104,7 +113,7 @@ class CModel:
                 out.append(f"/* {names[0]} .. {names[-1]}: the manifest lists them all */")
                 continue
             out += [
-                f"#define {self.upper}_{letter}_{identifier(n)} {i}{f'  /* [{unit}] */' if unit else ''}"
+                f"#define {self.upper}_{letter}_{identifier(n)} {i}{f'  /* [{_comment(unit)}] */' if unit else ''}"
                 for i, (n, unit) in enumerate(zip(names, units))
             ]
         return out
@@ -159,7 +168,11 @@ class CModel:
         ]  # fmt: skip
         for name, (why, values) in self._numbers().items():
             lines.append(f"extern const {self.real} {n}_{name}[{values.size}];  /* {why} */")
-        lines += ["", "/* A null pointer for a result: it is not wanted. For p where the model has none: 0. */"]
+        lines += [
+            "",
+            "/* A null pointer for a result: it is not wanted. For p where the model has none: 0. Results must not overlap",
+            "   arguments: x_next is another array than x. */",
+        ]
         for c in self.source.functions:
             shape = ", ".join(_shape(p) for p in c.inputs) + " -> " + ", ".join(_shape(p) for p in c.outputs)
             lines += [f"/* {shape} */", f"{self._prototype(c)};"]
@@ -211,7 +224,7 @@ class CModel:
         lines += ["  return 1;", "}"]
         for f in self.source.functions:
             lines += ["", f"{self._prototype(f)} {{"]
-            # A measurement that is marked as missing may be NaN; the results tell.
+            # A measurement that is marked as missing may be NaN, and so is its innovation; x_next tells.
             checked = [p for p in f.inputs if p.nnz and p.name != "y"]
             if checked:
                 test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in checked)
@@ -219,7 +232,7 @@ class CModel:
             lines += [f"  work->arg[{i}] = {p.name};" for i, p in enumerate(f.inputs)]
             lines += [f"  work->res[{i}] = {p.name};" for i, p in enumerate(f.outputs)]
             lines.append(f"  if ({f.symbol}(work->arg, work->res, work->iw, work->w, 0)) return {up}_FAILED;")
-            results = [p for p in f.outputs if p.nnz]
+            results = [p for p in f.outputs if p.nnz and p.name != "e"]
             if results:
                 test = " || ".join(f"!finite_all({p.name}, {p.nnz})" for p in results)
                 lines.append(f"  if ({test}) return {up}_NOT_FINITE_RESULT;")
@@ -268,10 +281,10 @@ class CModel:
         calls = []
         for f in self.source.functions:
             golden = next(g for g in self.golden if g.name == f.name)
-            rows = min(2, next(iter(golden.results.values())).shape[0])
+            count = next(iter(golden.results.values())).shape[0]
             body = [f"static void test_{f.name}(void) {{", "  int code;"]
-            # The last point is the farthest out, the second one is usual flight.
-            for row in sorted({min(2, len(next(iter(golden.results.values()))) - 1), 1} if rows > 1 else {0}):
+            # Usual flight, and the farthest out.
+            for row in sorted({min(1, count - 1), min(FARTHEST, count - 1)}):
                 body.append("  {")
                 for p in f.inputs:
                     if p.nnz:

@@ -15,6 +15,11 @@ import numpy as np
 from greybox.symbolic import FloatArray
 from mpc_export.functions import ModelFunctions
 
+SPREADS = (0.3, 1.0, 1.0, 1.0, 3.0, 10.0)
+"""How far out the points after the reference are, again and again; 1 is typical flight."""
+FARTHEST = 1 + SPREADS.index(max(SPREADS))
+"""The first point that is as far out as any."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Golden:
@@ -37,7 +42,7 @@ class Golden:
 def golden_vectors(functions: ModelFunctions, points: int, seed: int = 0) -> list[Golden]:
     """Every function at `points` points: the reference, then random ones, ever farther out."""
     rng = np.random.default_rng(seed)
-    spreads = [0.0, *np.resize([0.3, 1.0, 1.0, 1.0, 3.0, 10.0], max(points - 1, 0))]
+    spreads = [0.0, *np.resize(SPREADS, max(points - 1, 0))]
     places = [_point(functions, rng, float(s)) for s in spreads[:points]]
     out = []
     for name, function in functions.functions.items():

@@ -19,7 +19,7 @@ COMPILERS = [c for c in ("gcc", "clang") if shutil.which(c)]
 
 def needs_compiler() -> None:
     if not COMPILERS:
-        pytest.skip("no C compiler")
+        pytest.skip("C compiler is not installed")
 
 
 def compile_objects(bundle: ExportBundle, work: Path, compiler: str = "gcc", *flags: str) -> list[str]:

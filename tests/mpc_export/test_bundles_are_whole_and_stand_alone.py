@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -144,6 +145,44 @@ def test_the_second_export_comes_from_the_cache(tmp_path, cache):
     assert not write_bundle(cases.linear(), tmp_path / "b").cached
 
 
+def test_code_of_the_users_own_is_never_taken_from_the_cache(tmp_path, cache):
+    class Drag(type(effect_by_name("rotor_drag"))):
+        """The same name in a model file, but other code."""
+
+    def export(effect, place):
+        dynamics = PhysicsModel(vehicle=specimen.crooked(), effects=(effect,), sample_time=0.01)
+        model = replace(hybrid_cases.craft_model(dynamics), reference_state=dynamics.reference({}))
+        model = replace(model, reference_inputs=np.full(len(dynamics.inputs), 0.5))
+        return write_bundle(model, tmp_path / place, name="b", targets=())
+
+    for effect, known in ((effect_by_name("rotor_drag"), True), (Drag(), False)):
+        assert not export(effect, "first").cached
+        assert export(effect, "second").cached is known
+
+
+def test_an_interrupt_between_the_two_moves_keeps_the_old_bundle(tmp_path, monkeypatch):
+    place = tmp_path / "b"
+    write_bundle(cases.linear(), place, targets=(), use_cache=False)
+    before, rename = content(place), os.rename
+
+    def interrupted(source, target):
+        if Path(target) == place and Path(source).name != "old":
+            raise KeyboardInterrupt
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_bundle(cases.linear((1, 0)), place, targets=(), use_cache=False)
+    assert content(place) == before
+    assert os.listdir(tmp_path) == ["b"]
+
+
+@pytest.mark.parametrize("name", ["test", "c", "m", "Install"])
+def test_names_that_builds_have_already_are_refused(tmp_path, name):
+    with pytest.raises(ModelError, match="taken"):
+        write_bundle(cases.linear(), tmp_path / "b", name=name, use_cache=False)
+
+
 @pytest.mark.parametrize("name", ["9lives", "a-b", "float", "casadi_x", "", "a b", "é"])
 def test_names_that_c_does_not_take_are_refused(tmp_path, name):
     with pytest.raises(ModelError, match="C identifier"):
@@ -184,8 +223,6 @@ def test_the_verifier_passes_a_good_bundle_and_finds_a_wrong_number(linear, tmp_
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("passed") >= 3
     assert "largest difference" in done.stdout
-    import shutil
-
     copy = tmp_path / "copy"
     shutil.copytree(linear.folder, copy)
     path = copy / "golden" / "f_d.csv"
@@ -201,8 +238,6 @@ def test_the_verifier_passes_a_good_bundle_and_finds_a_wrong_number(linear, tmp_
 
 def test_the_verifier_finds_wrong_c(linear, tmp_path):
     compiled.needs_compiler()
-    import shutil
-
     copy = tmp_path / "copy"
     shutil.copytree(linear.folder, copy)
     path = copy / "c" / f"{linear.name}.c"
@@ -218,6 +253,63 @@ def test_the_verifier_says_in_one_line_what_is_no_bundle(tmp_path):
     done = run_verifier(tmp_path)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def sealed(folder: Path, **changes) -> None:
+    """Changes the manifest and gives it the checksum that then fits."""
+    path = folder / "manifest.json"
+    manifest = {**json.loads(path.read_text()), **changes}
+    path.write_text(json.dumps({**manifest, "checksum": verify.seal(manifest)}))
+
+
+def test_a_manifest_that_was_edited_is_found(linear, tmp_path, capsys):
+    copy = Path(shutil.copytree(linear.folder, tmp_path / "copy"))
+    assert verify.main([str(copy), "--no-c"]) == 0
+    path = copy / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "tolerance": 1e9}))
+    assert verify.main([str(copy), "--no-c"]) == 1
+    assert "changed since the export: manifest.json" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("damage", ["short row", "no rows", "not numbers", "gone", "tape", "manifest"])
+def test_damage_ends_in_one_line(linear, tmp_path, capsys, damage):
+    copy = Path(shutil.copytree(linear.folder, tmp_path / "copy"))
+    golden, tape = copy / "golden" / "f_d.csv", copy / "python" / "functions.json"
+    head, first, *_ = golden.read_text().splitlines()
+    if damage == "gone":
+        golden.unlink()
+    elif damage == "tape":
+        tape.write_text(tape.read_text()[:-50])
+    elif damage == "manifest":
+        sealed(copy, functions=[{}])
+    else:
+        rows = {"short row": first.rpartition(",")[0], "no rows": "", "not numbers": first.replace(".", "x")}[damage]
+        golden.write_text(f"{head}\n{rows}".strip() + "\n")
+    assert verify.main([str(copy), "--no-c"]) == 1
+    said = capsys.readouterr().err
+    assert "damaged" in said and len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/tmp/evil", "-o", "a b", "", 7])
+def test_names_in_a_manifest_lead_nowhere_else(linear, tmp_path, capsys, name):
+    copy = Path(shutil.copytree(linear.folder, tmp_path / "copy"))
+    functions = linear.manifest["functions"]
+    for changes in ({"name": name}, {"functions": [{**functions[0], "name": name}]}, {"files": {"../secret": "00"}}):
+        sealed(copy, **{"name": linear.name, "functions": functions, **changes})
+        assert verify.main([str(copy)]) == 1
+        out = capsys.readouterr()
+        assert "manifest.json: " in out.err and out.out == ""
+
+
+def test_nothing_compared_is_no_success(linear, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    assert verify.main([str(linear.folder), "--no-c"]) == 1
+    assert "nothing was compared" in capsys.readouterr().out
+
+
+def test_a_compiler_that_is_not_there_is_not_replaced_by_another(linear, capsys):
+    assert verify.main([str(linear.folder), "--cc", "no-such-cc"]) == 1
+    assert "no-such-cc" in capsys.readouterr().err
 
 
 def odd_model(kind: str):

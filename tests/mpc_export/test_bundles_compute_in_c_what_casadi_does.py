@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from greybox.model.effects import effect_by_name
+from greybox.symbolic import Layout
 from mpc_export.bundle import write_bundle
+from mpc_export.c_code import write_c
+from mpc_export.c_model import abi_number
 from mpc_export.golden import golden_vectors
 from mpc_export.verify import STRICT
 from tests.conformance import specimen
@@ -175,7 +178,7 @@ def test_the_library_has_no_writable_data(hybrid, library):
 
 def test_cpp_takes_the_header(hybrid, objects, tmp_path):
     if shutil.which("g++") is None:
-        pytest.skip("no C++ compiler")
+        pytest.skip("C++ compiler is not installed")
     folder, name = hybrid.folder / "c", hybrid.name
     done = subprocess.run(
         ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", folder / f"{name}_example.cpp", *objects, "-o",
@@ -204,8 +207,9 @@ int main(void) {
     printf("%d ", NAME_eval_f_d(x, u, 0, next, &work));
   }
   for (i = 0; i < UP_N_X; ++i) x[i] = NAME_x_reference[i];
-  x[UP_X_VELOCITY_X] = 1e300;
-  printf("%d %d\\n", NAME_eval_f_d(x, u, 0, 0, &work), NAME_eval_f_d(x, u, 0, next, &work));
+  x[UP_X_RATE_X] = 1e300;
+  printf("%d ", NAME_eval_f_d(x, u, 0, 0, &work));
+  printf("%d\\n", NAME_eval_f_d(x, u, 0, next, &work));
   return NAME_abi() == UP_ABI ? 0 : 1;
 }
 """
@@ -220,10 +224,51 @@ def test_return_codes_tell_what_is_wrong(hybrid, objects, tmp_path):
     subprocess.run(command, check=True)
     done = subprocess.run([tmp_path / "codes"], capture_output=True, text=True, check=False)
     assert done.returncode == 0
-    assert done.stdout.split()[:4] == ["0", "1", "1", "2"]
+    assert done.stdout.split() == ["0", "1", "1", "2", "0", "3"]
     wrong = subprocess.run([*command, f"-D{name.upper()}_EXPECTED_ABI=1u"], capture_output=True, text=True, check=False)
     assert wrong.returncode != 0
     assert "another layout" in wrong.stderr
+
+
+MISSING = """
+#include <stdio.h>
+#include "NAME_model.h"
+int main(void) {
+  static NAME_work work;
+  double y[UP_N_Y], there[UP_N_E], next[UP_N_X], e[UP_N_E];
+  const double zero = 0;
+  int i, k;
+  for (k = 0; k < 3; ++k) {
+    for (i = 0; i < UP_N_E; ++i) there[i] = 1;
+    NAME_eval_h(NAME_x_reference, NAME_u_reference, 0, y, &work);
+    if (k > 0) y[UP_Y_P] = zero / zero;
+    if (k < 2) there[UP_E_P] = 0;
+    printf("%d ", NAME_eval_filter_step(NAME_x_reference, NAME_u_reference, 0, y, there, next, e, 0, &work));
+  }
+  return 0;
+}
+"""
+
+
+def test_a_missing_measurement_may_be_nan_and_a_wrong_one_may_not(hybrid, objects, tmp_path):
+    text = MISSING.replace("NAME", hybrid.name).replace("UP_", f"{hybrid.name.upper()}_")
+    (tmp_path / "missing.c").write_text(text)
+    source = [tmp_path / "missing.c", *objects]
+    command = ["gcc", "-std=c99", "-O0", f"-I{hybrid.folder / 'c'}", *source, "-o", tmp_path / "missing", "-lm"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([tmp_path / "missing"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.split() == ["0", "0", "3"]
+
+
+def test_the_layout_number_knows_every_order(hybrid):
+    functions = hybrid.functions
+    source = write_c(list(functions.functions.values())[:2], hybrid.folder.parent / "abi", prefix="abi")
+    number = abi_number(functions, source)
+    assert abi_number(functions, source) == number
+    for name in ("innovations", "features", "learned", "targets"):
+        other = replace(functions, **{name: Layout(list(getattr(functions, name))[::-1])})
+        assert abi_number(other, source) != number, name
+    assert abi_number(replace(functions, covariance_names=functions.covariance_names[::-1]), source) != number
 
 
 @pytest.mark.slow

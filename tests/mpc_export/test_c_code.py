@@ -16,7 +16,7 @@ from greybox.errors import ModelError
 from mpc_export.c_code import STRICT_FLAGS, CSource, single_precision, write_c
 
 COMPILERS = [c for c in ("gcc", "clang") if shutil.which(c)]
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="C compiler is not installed")
 
 
 def functions() -> list[Any]:
@@ -93,7 +93,7 @@ def test_source_compiles_strictly(cc: str, kind: str, level: str, request: pytes
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="no C++ compiler")
+@pytest.mark.skipif(not shutil.which("g++"), reason="C++ compiler is not installed")
 def test_the_header_is_taken_by_cpp(double: CSource) -> None:
     user = double.source.with_name("user.cpp")
     user.write_text(

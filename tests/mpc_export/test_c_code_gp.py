@@ -23,7 +23,7 @@ from mpc_export.c_kernels import GPKernel, merged_factor
 
 ALL = ("mean", "variance", "mean_jacobian", "variance_jacobian")
 COMPILERS = [c for c in ("gcc", "clang") if shutil.which(c)]
-pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="C compiler is not installed")
 
 
 def posterior(

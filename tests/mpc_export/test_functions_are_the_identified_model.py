@@ -147,7 +147,6 @@ def test_the_filter_is_the_identified_one(kind):
         np.testing.assert_allclose(found["S"], s, atol=1e-12 * s.max())
         np.testing.assert_allclose(found["K"][:n], gain, atol=1e-8 * np.abs(gain).max())
         x, window, y = point["x"][: functions.own_states], own_window(functions, point), point["y"]
-        y = np.where(rng.random(y.size) < 0.0, np.nan, y)
         after, e, y_hat = (v.full().ravel() for v in runner.engine.value(x, window, y, model.parameter_vector(), 0.01))
         corrected = runner.engine.move(after, gain @ (e * there)).full().ravel()
         step = call(functions, "filter_step", point)
@@ -348,6 +347,23 @@ def test_battery_voltage_is_a_parameter_and_noise_keeps_its_intensity_at_another
     for _ in range(2):
         y = fast["f_d"](y, u, p).full().ravel()
     np.testing.assert_allclose(y[: slow.own_states], one, atol=5e-6)
+
+
+@pytest.mark.parametrize("dt", [0.0025, 0.03])
+def test_disturbances_decay_and_spread_alike_at_another_rate(dt):
+    """d+ = exp(-dt/T) d + w with the stationary variance of the identified rate, q / (1 - exp(-2 dt/T))."""
+    model = cases.disturbed()
+    own, other = model_functions(model), model_functions(model, dt=dt)
+    for state in ("disturbance.force.x", "disturbance.torque.z"):
+        time = float(model.values[f"{state.rpartition('.')[0]}.T"])
+        at, error = other.states[state], other.error_states[f"d_{state}"]
+        x, u = other.reference[0].copy(), other.reference[1]
+        x[at] = 0.02
+        after = other["f_d"](x, u, other.parameter_values).full().ravel()
+        assert after[at] == pytest.approx(0.02 * np.exp(-dt / time), rel=1e-12)
+        fresh, usual = other.noise.process[error, error], own.noise.process[error, error]
+        assert usual > 0
+        assert fresh / -np.expm1(-2 * dt / time) == pytest.approx(usual / -np.expm1(-2 * own.dt / time), rel=1e-9)
 
 
 def test_what_cannot_be_exported_is_refused():
