@@ -40,7 +40,7 @@ def write_fmu(model: Exported, path: Path) -> dict[str, Any]:
     if not hasattr(ca.DaeBuilder, "compile_fmu"):
         raise ModelError("this CasADi cannot export an FMU", expected="3.8 or later", got=ca.CasadiMeta.version())
     builder = _builder(model)
-    headers = _headers()
+    headers, path = _headers(), path.resolve()
     with tempfile.TemporaryDirectory(prefix="fmu-") as folder, contextlib.chdir(folder):
         files = builder.export_fmu({"no_warning": True, "with_serialization": False})
         _settle(Path("modelDescription.xml"), [Path(local) for local in files])

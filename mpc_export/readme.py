@@ -86,9 +86,9 @@ def readme(manifest: Mapping[str, Any]) -> str:
     lines += [
         "In Python (casadi 3.6.7 or later, numpy):", "", "```python", "import sys; sys.path.insert(0, \"python\")",
         "import rebuild", "f_d = rebuild.load()[\"f_d\"]  # casadi.Function: x_next = f_d(x, u, p)", "```", "",
-        "`casadi/*.casadi` are the same functions for the CasADi version that wrote them only. `golden/*.csv` hold "
-        "arguments and results of every function. `manifest.json` says all of this, and the noise of the identified filter, "
-        "to programs.",
+        "`casadi/*.casadi`, if there, are the same functions for the CasADi version that wrote them only. `golden/*.csv` "
+        "hold arguments and results of every function. `manifest.json` says all of this, and the noise of the identified "
+        "filter, to programs.",
         "",
     ]  # fmt: skip
     for target, said in m["targets_written"].items():

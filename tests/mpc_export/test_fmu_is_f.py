@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from greybox.errors import ModelError
@@ -40,6 +42,14 @@ def test_without_a_binary_the_same_model_gives_the_same_bytes(tmp_path, monkeypa
     for name in ("a.fmu", "b.fmu"):
         assert fmu.write_fmu(model, tmp_path / name) == {"file": name, "binary": False}
     assert (tmp_path / "a.fmu").read_bytes() == (tmp_path / "b.fmu").read_bytes()
+
+
+def test_a_path_from_the_present_folder_is_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(fmu, "_headers", lambda: None)
+    model = load(consumers.bundle("physics"))
+    monkeypatch.chdir(tmp_path)
+    fmu.write_fmu(model, Path("craft") / "fmu" / "a.fmu")
+    assert (tmp_path / "craft" / "fmu" / "a.fmu").is_file()
 
 
 def test_a_discrete_model_has_no_fmu(tmp_path):
