@@ -17,6 +17,7 @@
 | B_d, B_d_raw | x u p -> derivative of x_next in the learned push, (n_d or n_x, n_g) |
 | covariance_step, covariance_feedback | x u p S [K] -> S_next = A S A' + B_d Var B_d' + Q; A + B K for A with u = K d |
 | consider_step | x u p K S c b -> S_next, c_next, b_next, total: learned and parameter errors constant over the horizon |
+| P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |

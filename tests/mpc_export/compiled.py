@@ -55,7 +55,10 @@ def load(bundle: ExportBundle, library: Path) -> CLibrary:
 
 
 def largest_difference(bundle: ExportBundle, library: CLibrary, functions, points) -> dict[str, float]:
-    """Function -> largest difference between C and CasADi over `points`, in units of each output's scale."""
+    """Function -> largest difference between C and CasADi over `points`, in units of each output's scale.
+
+    Every entry of a vector is a signal of its own scale (a torque beside a position), every matrix has one scale.
+    """
     worst: dict[str, float] = {}
     for entry in bundle.manifest["functions"]:
         made = functions[entry["name"]]
@@ -67,7 +70,9 @@ def largest_difference(bundle: ExportBundle, library: CLibrary, functions, point
             buffer.set_arg(i, a.data)
         for i, a in enumerate(theirs):
             buffer.set_res(i, a.data)
-        gap, size = np.zeros(made.n_out()), np.full(made.n_out(), 1e-30)
+        whole = [port["columns"] > 1 for port in entry["results"]]
+        gap = [np.zeros(1 if one else b.size) for one, b in zip(whole, theirs, strict=True)]
+        size = [np.full(g.size, 1e-30) for g in gap]
         for point in points:
             for i, name in enumerate(made.name_in()):
                 n = made.numel_in(i)
@@ -76,8 +81,11 @@ def largest_difference(bundle: ExportBundle, library: CLibrary, functions, point
             run_casadi()
             for k, (a, b) in enumerate(zip(ours, theirs, strict=True)):
                 assert np.isfinite(b).all(), entry["name"]
-                gap[k], size[k] = max(gap[k], np.abs(a - b).max()), max(size[k], np.abs(b).max())
-        worst[entry["name"]] = float((gap / size).max())
+                apart, large = np.abs(a - b), np.abs(b)
+                gap[k] = np.maximum(gap[k], apart.max() if whole[k] else apart)
+                size[k] = np.maximum(size[k], large.max() if whole[k] else large)
+        # What stays below a millionth of its neighbours is rounding.
+        worst[entry["name"]] = max(float((g / np.maximum(s, 1e-6 * s.max())).max()) for g, s in zip(gap, size))
     return worst
 
 
