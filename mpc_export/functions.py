@@ -57,6 +57,8 @@ from mpc_export.target import target_function, tracked
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
 WEIGHTS = "gp.weights"
 EULER = ("phi", "theta", "psi")
+NOWHERE = 1e30
+"""Out-of-domain number of arguments that are NaN or absurd."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -397,8 +399,8 @@ class _Builder:
             self._value(name, name, expression)
 
     def _domain(self) -> None:
-        """number > 0 outside: the larger of `box` (overshoot over the range seen in training, relative to it) and the
-        learned part's distance over the 99 % quantile of its training inputs, minus one."""
+        """number > 0 outside (NOWHERE for NaN): the larger of `box` (overshoot over the range seen in training, relative to
+        it) and the learned part's distance over the 99 % quantile of its training inputs, minus one."""
         box, distance = self._box(), self.posterior
         x, u, p = self._arguments()
         overshoot = box(x, u, p) if box is not None else ca.MX(0.0)
@@ -408,7 +410,10 @@ class _Builder:
             far = self.functions["gp_distance"](self._features("raw")(x, u, p)[0], p)
             usual = distance.domain.distance[2]
             number = ca.fmax(overshoot, far / (usual if usual > 0 else 1.0) - 1.0)
-        values = [ca.densify(v) for v in (ca.fmax(number, 0.0), overshoot, far)]
+        # fmax drops NaN, and a state that is not a number is in no domain.
+        sane = ca.sumsqr(ca.vertcat(x, u, self._own_p(p))) < NOWHERE
+        number = ca.if_else(sane, ca.fmax(number, 0.0), NOWHERE)
+        values = [ca.densify(v) for v in (number, overshoot, far)]
         self.functions["out_of_domain"] = ca.Function(
             "out_of_domain", [x, u, p], values, ["x", "u", "p"], ["number", "box", "distance"]
         )

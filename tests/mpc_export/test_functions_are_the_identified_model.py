@@ -349,6 +349,20 @@ def test_battery_voltage_is_a_parameter_and_noise_keeps_its_intensity_at_another
     np.testing.assert_allclose(y[: slow.own_states], one, atol=5e-6)
 
 
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_what_is_not_a_number_is_out_of_every_domain(kind):
+    functions = exported(kind)
+    x, u = functions.reference
+    p = functions.parameter_values
+    assert float(functions["out_of_domain"](x, u, p)[0]) < 1e3
+    for wrong in (np.nan, np.inf):
+        for i in range(x.size):
+            bad = x.copy()
+            bad[i] = wrong
+            assert float(functions["out_of_domain"](bad, u, p)[0]) == 1e30
+        assert float(functions["out_of_domain"](x, u * wrong, p)[0]) == 1e30
+
+
 @pytest.mark.parametrize("dt", [0.0025, 0.03])
 def test_disturbances_decay_and_spread_alike_at_another_rate(dt):
     """d+ = exp(-dt/T) d + w with the stationary variance of the identified rate, q / (1 - exp(-2 dt/T))."""
