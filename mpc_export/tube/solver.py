@@ -7,6 +7,8 @@ Memory is taken once, when a solver is made; a step takes none. One solver serve
 from __future__ import annotations
 
 import ctypes
+import hashlib
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.build import BuildError, build
+from greybox.estimation.build import BuildError, build, cache_dir
+from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
 from mpc_export.functions import ModelFunctions
@@ -87,7 +90,9 @@ class TubeSolver:
             "NK": len(self.stages.keep), "NPL": problem.planes, "NREF": 7 + n["n_u"], "NGP": n["n_g"],
             "NTH": n["n_theta"], "NFREE": len(self.stages.free),
         }  # fmt: skip
-        self._library = ctypes.CDLL(str(_compiled(self.sizes, self.stages, kernels)))
+        # Before all others in the process: acados brings an HPIPM of its own, of another layout.
+        mode = ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0)
+        self._library = ctypes.CDLL(str(_compiled(self.sizes, self.stages, kernels)), mode=mode)
         self._library.tube_create.restype = ctypes.c_void_p
         self._library.tube_data_size.restype = ctypes.c_size_t
         self._library.tube_free.argtypes = [ctypes.c_void_p]
@@ -149,8 +154,27 @@ def hpipm() -> tuple[Path, Path]:
     return include, root
 
 
+def _private(libraries: Path) -> Path:
+    """Copies of HPIPM and BLASFEO under names of their own.
+
+    The loader takes a library by its name: where another HPIPM is in the process (acados has one), ours would be run
+    with that one's memory layout.
+    """
+    names = {"libhpipm.so": "libgbhpi.so", "libblasfeo.so.0": "libgbblasf.so.0"}
+    files = {new: (libraries / old).read_bytes() for old, new in names.items()}
+    folder = cache_dir() / f"hpipm-{hashlib.sha256(b''.join(files.values())).hexdigest()[:16]}"
+    for new, content in files.items():
+        if not (folder / new).exists():
+            folder.mkdir(exist_ok=True)
+            for old, other in names.items():
+                content = content.replace(f"\0{old}\0".encode(), f"\0{other}\0".encode())
+            write_atomic(folder / new, content)
+    return folder
+
+
 def _compiled(sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]) -> Path:
     include, libraries = hpipm()
+    private = _private(libraries)
     with tempfile.TemporaryDirectory() as folder:
         source = write_c(list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels)
         model, header = source.source.read_text(), source.header.read_text()
@@ -176,7 +200,7 @@ def _compiled(sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]) -
             ("tube_model.c", model, (*FAST_FLAGS, "-fPIC")),
             ("controller.c", driver, (*_flags(), "-fPIC", f"-I{include}")),
         ],
-        link=(f"-L{libraries}", "-lhpipm", "-lblasfeo", f"-Wl,-rpath,{libraries}"),
+        link=(f"-L{private}", "-lgbhpi", "-l:libgbblasf.so.0", f"-Wl,-rpath,{private}"),
     )
 
 

@@ -70,11 +70,9 @@ def stages(model: ModelFunctions, problem: TubeProblem, *, white: bool = False) 
     free = tuple(_block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
     q, r = _weights(model, problem)
-    gain = _lqr(a, b, q, r)
+    gain, terminal = _lqr(a, b, q, r, keep)
     if not problem.feedback:
         gain = np.zeros_like(gain)
-    rows = np.array(keep)
-    terminal = scipy.linalg.solve_discrete_are(a[np.ix_(rows, rows)], b[rows], q[np.ix_(rows, rows)], r)
     estimate = model.noise.covariance
     fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate)
     made = [
@@ -140,10 +138,29 @@ def _weights(model: ModelFunctions, problem: TubeProblem) -> tuple[FloatArray, F
     return np.diag(q), np.diag(r)
 
 
-def _lqr(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
-    """K with u = K d. Disturbances cannot be steered but decay, so that the equation has its stabilising solution."""
-    p = scipy.linalg.solve_discrete_are(a, b, q, r)
-    return np.asarray(-np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a))
+def _lqr(
+    a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray, keep: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """(K, P): u = K d over all error states, and the cost P (n_k, n_k) of what the plan may change.
+
+    Disturbances cannot be steered; with the cost d'P d + 2 d'X e, e the disturbances that go on as Phi e,
+
+        K_d = -S^-1 B'P A_dd,   K_e = -S^-1 B'(P A_de + X Phi),   S = R + B'P B,
+        X = (A_dd + B K_d)'(P A_de + X Phi).
+    """
+    rows = np.array(keep)
+    rest = np.setdiff1d(np.arange(a.shape[0]), rows)
+    a_dd, a_de, phi, b_d = a[np.ix_(rows, rows)], a[np.ix_(rows, rest)], a[np.ix_(rest, rest)], b[rows]
+    p = scipy.linalg.solve_discrete_are(a_dd, b_d, q[np.ix_(rows, rows)], r)
+    s = r + b_d.T @ p @ b_d
+    gain = np.zeros((b.shape[1], a.shape[0]))
+    gain[:, rows] = -np.linalg.solve(s, b_d.T @ p @ a_dd)
+    closed = a_dd + b_d @ gain[:, rows]
+    x = np.linalg.solve(
+        np.eye(len(rows) * len(rest)) - np.kron(phi.T, closed.T), (closed.T @ p @ a_de).ravel(order="F")
+    ).reshape(len(rows), len(rest), order="F")
+    gain[:, rest] = -np.linalg.solve(s, b_d.T @ (p @ a_de + x @ phi))
+    return gain, np.asarray(p)
 
 
 def _positive(m: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import pytest
 from mpc_export.functions import model_functions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import TubeSolver
-from mpc_export.tube.stages import stages
+from mpc_export.tube.stages import _weights, stages
 from tests.mpc_export import cases
 
 
@@ -104,3 +104,18 @@ def test_worst_case_ellipsoids_hold_every_sequence_of_bounded_disturbances(solve
             reach += np.linalg.norm(root.T @ turn)
             turn = closed.T @ turn
         assert reach <= np.sqrt(direction @ inner @ direction) * (1 + 1e-9)
+
+
+def test_gain_is_the_riccati_solution_with_disturbances_as_states(solver):
+    model, made = solver.model, solver.stages
+    x, u = made.steady
+    _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
+    rows = list(made.keep)
+    q, r = _weights(model, solver.problem)
+    # value iteration over all states, which needs no stabilisability
+    p, gain = np.zeros_like(q), np.zeros_like(made.gain)
+    for _ in range(4000):
+        gain = -np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+        p = q + a.T @ p @ (a + b @ gain)
+    np.testing.assert_allclose(made.gain, gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
+    np.testing.assert_allclose(made.terminal, p[np.ix_(rows, rows)], rtol=1e-5, atol=1e-6 * np.abs(p).max())
