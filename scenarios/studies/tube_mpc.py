@@ -219,8 +219,13 @@ def _cost(path: Array, commands: Array, reference: Any) -> float:
 
 
 def crossed(record: dict[str, Any]) -> bool:
-    """Whether the flight crossed a plane, tilted too far, or crashed."""
-    return bool(record["crashed"] or min(record["margins"].values()) < 0 or record["tilt"] > OBSTACLE_COURSE.tilt_max)
+    """Whether the flight crossed a plane or crashed."""
+    return bool(record["crashed"] or min(record["margins"].values()) < 0)
+
+
+def tilted(record: dict[str, Any]) -> bool:
+    """Whether the flight tilted too far or crashed."""
+    return bool(record["crashed"] or record["tilt"] > OBSTACLE_COURSE.tilt_max)
 
 
 # ------------------------------------------------------------------------------------------------ tuning on training flights
@@ -322,7 +327,7 @@ def _branch(plant: Any, flown: TubeController, groups: dict[str, int]) -> dict[s
 def summary(records: Sequence[dict[str, Any]]) -> str:
     """Per controller: flights that crossed a limit, with the binomial test of its level; error, cost, solution times."""
     lines = [
-        f"{'controller':10s} {'flights':>7s} {'crossed':>8s} {'p(rate<=level)':>15s} {'RMSE [m]':>9s} {'cost':>7s} "
+        f"{'controller':10s} {'flights':>7s} {'crossed':>8s} {'p(rate<=level)':>15s} {'tilted':>7s} {'RMSE [m]':>9s} {'cost':>7s} "
         f"{'ms':>12s}"
     ]
     for name in CONTROLLERS:
@@ -338,7 +343,8 @@ def summary(records: Sequence[dict[str, Any]]) -> str:
             else ""
         )
         lines.append(
-            f"{name:10s} {len(mine):7d} {hits / len(mine):8.3f} {test:>15s} {np.mean([r['rmse'] for r in mine]):9.4f} "
+            f"{name:10s} {len(mine):7d} {hits / len(mine):8.3f} {test:>15s} "
+            f"{np.mean([tilted(r) for r in mine]):7.3f} {np.mean([r['rmse'] for r in mine]):9.4f} "
             f"{np.mean([r['cost'] for r in mine]):7.3f} {speed:>12s}"
         )
     return "\n".join(lines)
