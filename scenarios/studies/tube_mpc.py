@@ -327,8 +327,8 @@ def _branch(plant: Any, flown: TubeController, groups: dict[str, int]) -> dict[s
 def summary(records: Sequence[dict[str, Any]]) -> str:
     """Per controller: flights that crossed a limit, with the binomial test of its level; error, cost, solution times."""
     lines = [
-        f"{'controller':10s} {'flights':>7s} {'crossed':>8s} {'p(rate<=level)':>15s} {'tilted':>7s} {'RMSE [m]':>9s} {'cost':>7s} "
-        f"{'ms':>12s}"
+        f"{'controller':10s} {'flights':>7s} {'crossed':>8s} {'p(rate<=level)':>15s} {'tilted':>7s} {'RMSE [m]':>9s} "
+        f"{'cost':>7s} {'ms':>12s}"
     ]
     for name in CONTROLLERS:
         mine = [r for r in records if r["controller"] == name]
