@@ -24,7 +24,6 @@ import argparse
 import concurrent.futures
 import itertools
 import json
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,6 +47,7 @@ from scenarios.studies.discovery_cells import (
     vehicle_of,
 )
 from scenarios.studies.discovery_summary import summary, write_docs
+from scenarios.studies.rows import append_row, read_rows
 
 __all__ = ["ERRORS", "MAKERS", "SIGMA", "cases", "flights", "judge", "main", "run", "vehicle_of"]
 CHUNK = 24
@@ -143,26 +143,6 @@ def _whole(cell: Cell, seeds: Sequence[int]) -> list[dict[str, Any]]:
     return list(run(cell, seeds))
 
 
-def _append(path: Path, row: dict[str, Any]) -> None:
-    """One line, in one write, on the disk when this returns; a line that was cut off before it stays alone."""
-    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
-    with path.open("a") as stream:
-        stream.write(("" if whole else "\n") + json.dumps(row) + "\n")
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Rows of a grid; a line that was cut off counts as not there."""
-    rows = []
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
-
-
 def _say(row: dict[str, Any]) -> None:
     names = ", ".join(row.get("effects", ())) or " | ".join(" or ".join(a) for a in row.get("ambiguous", ()))
     print(
@@ -200,12 +180,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             with concurrent.futures.ProcessPoolExecutor(options.jobs) as pool:
                 for future in concurrent.futures.as_completed([pool.submit(_whole, *w) for w in work]):
                     for row in future.result():
-                        _append(path, row)
+                        append_row(path, row)
                         _say(row)
         else:
             for cell, seeds in work:
                 for row in run(cell, seeds):
-                    _append(path, row)
+                    append_row(path, row)
                     _say(row)
         rows = read_rows(path)
     print(summary(rows))

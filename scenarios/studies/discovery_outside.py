@@ -16,7 +16,6 @@ case one line in the file as soon as it is done, so that a study that was stoppe
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,6 +34,7 @@ from scenarios.plants.flight_log import fly, member
 from scenarios.plants.presets import controller_for, x250
 from scenarios.plants.quadrotor import Quadrotor
 from scenarios.plants.vehicle_file import write_vehicle
+from scenarios.studies.rows import append_row, read_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--report", action="store_true", help="only print the table of the file")
     options = parser.parse_args(arguments)
     path = Path(options.out)
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    rows = read_rows(path)
     done = {(r["case"], r["seed"]) for r in rows}
     wanted = options.only.split(",") if options.only else list(CASES)
     for seed in () if options.report else options.seeds:
@@ -166,8 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             row = run(name, seed)
             rows.append(row)
-            with path.open("a") as stream:
-                stream.write(json.dumps(row) + "\n")
+            append_row(path, row)
             laws = "; ".join(u["proposal"] or u["channel"] for u in row["unnamed"])
             print(
                 f"{seed:5d} {name:18s} {row['verdict']:16s} {', '.join(row['names']) or '-':30s} | {laws or '-'} "

@@ -17,14 +17,11 @@ per cell as soon as it is done; a study that was stopped goes on where it was.
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from greybox.data import Dataset
 from greybox.data.checks import check_logs
@@ -37,6 +34,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
 from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
+from scenarios.studies.rows import append_row, read_rows, wilson
 
 EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
@@ -110,16 +108,6 @@ def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]
     return {"physics": physics, "sensor": sensor, "named": named, "right": right}
 
 
-def wilson(k: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate (Wilson 1927, J. American Statistical Association 22)."""
-    if not n:
-        return 0.0, 1.0
-    z, p = 1.96, k / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    return float(max(centre - half, 0.0)), float(min(centre + half, 1.0))
-
-
 def summary(rows: Sequence[dict[str, Any]]) -> str:
     """Rates per set of ingredients, clean logs and single effects apart."""
     cells: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
@@ -161,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--summary", action="store_true", help="only print the table of what is there")
     options = parser.parse_args(arguments)
     path = Path(options.out)
-    rows = [json.loads(text) for text in path.read_text().splitlines()] if path.exists() else []
+    rows = read_rows(path)
     done = {(r["vehicle"], r["ingredients"], r["effect"], r["seed"]) for r in rows}
     for seed in () if options.summary else options.seeds:
         for cell in options.cells:
@@ -170,8 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             row = run(options.vehicle, ingredients, effect, seed)
             rows.append(row)
-            with path.open("a") as stream:
-                stream.write(json.dumps(row) + "\n")
+            append_row(path, row)
             print(line(row), flush=True)
     print(summary(rows))
 

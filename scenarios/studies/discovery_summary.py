@@ -16,21 +16,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.files import write_atomic
+from scenarios.studies.rows import wilson
 
 Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
-
-
-def wilson(hits: int, total: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a share."""
-    if not total:
-        return 0.0, 1.0
-    p, n = hits / total, float(total)
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
 def _share(hits: int, total: int) -> str:

@@ -23,7 +23,6 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -52,6 +51,7 @@ from scenarios.plants.controller import Setpoint
 from scenarios.plants.flight_log import fly
 from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
+from scenarios.studies.rows import append_row, read_rows
 
 Array = NDArray[np.float64]
 LEVELS = {"tube-20": 0.20, "tube-10": 0.10, "tube-5": 0.05}
@@ -360,7 +360,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     log = options.out / "flights.jsonl"
-    records = [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+    records = read_rows(log)
     done = {(r["controller"], r["seed"]) for r in records}
     wanted = options.only.split(",") if options.only else CONTROLLERS
     for name, make in pilots(options.out):
@@ -371,10 +371,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for i, seed in enumerate(todo):
             record = {"controller": name, **flight(pilot, seed)}
             records.append(record)
-            with log.open("a") as stream:
-                stream.write(json.dumps(record) + "\n")
-                stream.flush()
-                os.fsync(stream.fileno())
+            append_row(log, record)
             if i % 10 == 9:
                 print(
                     f"  {name}: {i + 1} of {len(todo)}, {(time.perf_counter() - began) / (i + 1):.1f} s each",
