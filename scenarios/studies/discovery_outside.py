@@ -16,24 +16,20 @@ case one line in the file as soon as it is done, so that a study that was stoppe
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from greybox.data import Dataset, dataset_from_arrays
+from greybox.data import Dataset
 from greybox.discovery.workflow import Discovery, discover
-from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for, x250
+from scenarios.plants.presets import x250
 from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
 from scenarios.studies.rows import append_row, read_rows
 
 
@@ -46,8 +42,6 @@ class Case:
     family: tuple[str, ...] = ()
 
 
-SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
-ERRORS = {"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1}
 LATERAL = ("force.x", "force.y")
 ROLL_PITCH = ("torque.x", "torque.y")
 TURNS = (*ROLL_PITCH, "torque.z")
@@ -76,21 +70,9 @@ CASES = {
 }  # fmt: skip
 
 
-def vehicle_of(plant: Quadrotor) -> Vehicle:
-    """What the file says of the plant: ten per cent off, with honest sigmas."""
-    with tempfile.TemporaryDirectory() as folder:
-        return read_vehicle(write_vehicle(Path(folder) / "v.toml", plant, sigma=SIGMA, errors=ERRORS))
-
-
 def flights(plant: Quadrotor, seeds: Sequence[int], seconds: float, name: str) -> Dataset:
     """One flight per seed through random waypoints that also turn, without rotor speeds."""
-    path = RandomWaypoints(yaw_swing=1.5)
-    log = fly(plant, controller_for(plant), path, rich_excitation(), seconds, seed=list(seeds), warm_up=1.0)
-    out = Dataset(flights=())
-    for i in range(len(seeds)):
-        one = {k: v for k, v in member(log, i).items() if not k.startswith("omega")}
-        out = out + dataset_from_arrays(one.pop("t"), one, name=f"{name}{i}")
-    return out
+    return dataset(logs(plant, seeds, seconds, RandomWaypoints(yaw_swing=1.5)), name)
 
 
 def judge(found: Discovery, case: Case) -> dict[str, Any]:
