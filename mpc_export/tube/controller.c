@@ -73,7 +73,6 @@ typedef struct {
   double G[N + 1][NL * NK], value[N + 1][NL];
   double c[ND * NGP1], b[ND * NTH1];
   double c2[ND * NGP1], b2[ND * NTH1], Z[ND * ND], Z2[ND * ND];
-  int solved;
 } tube_solver;
 
 static double now(void) {
@@ -423,7 +422,6 @@ int tube_solve(tube_solver *s, tube_data *d) {
     }
     if ((int)d->iterations_max == 1) break;
   }
-  s->solved = 1;
   d->seconds = now() - begin;
   return 0;
 }

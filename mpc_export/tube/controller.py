@@ -4,9 +4,9 @@ Timing. The filter runs at every sample of the identified model. A plan is made 
 filter's prediction one sample ahead, with the command that will be in force until then; its first command is applied at
 that sample. So the solver has one sample to compute in, and that delay is part of the plan.
 
-Fallback. Where a solution fails (a model function is not finite, the QP breaks down), the
-plan before goes on: its next command plus the ancillary gain on the estimate, for as long as the plan lasts; then the
-ancillary gain about hover. `events` says what happened when.
+Fallback. Where a solution fails (a model function is not finite, the QP breaks down), the plan before goes on: its next
+command plus the ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about hover.
+`events` says what happened when.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import Outcome, TubeSolver
+from mpc_export.tube.stages import block
 
 FOREVER = 1e6
 """Time constant [s] of a disturbance that is as good as constant."""
@@ -94,7 +96,7 @@ class TubeController:
         self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
         self.filter: ModelFunctions = model_functions(model, with_=("filter",))
         self.solver = TubeSolver(self.functions, self.problem, kernels=self.kernels)
-        self._step = _compiled(self.filter["filter_step"])
+        self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         self._present = [[self.columns.index(c) for c in names] for names in self.model.dynamics.innovation_columns]
         self.start()
@@ -110,7 +112,7 @@ class TubeController:
         if x is None:
             first = self.reference.sample(np.array([time]))
             hover[self._rows("position")] = first.position[0]
-            hover[self._rows("attitude")] = _level(float(first.yaw[0]))
+            hover[self._rows("attitude")] = numeric("from_euler", [0.0, 0.0, float(first.yaw[0])])[0]
             x = hover
         own = self.filter.own_states
         first_state, first_command, _ = self.filter.sampled.extended(x[:own], self._column(self.u))
@@ -140,9 +142,8 @@ class TubeController:
             state[i] = self.past[int(lag) - 1][self.functions.inputs[command]]
         return state
 
-    def _rows(self, block: str) -> list[int]:
-        names = self.functions.states.names
-        return [i for i, n in enumerate(names) if n.startswith(f"{block}.")]
+    def _rows(self, name: str) -> list[int]:
+        return block(self.functions, name)
 
     # ------------------------------------------------------------------------------------------------ every sample
 
@@ -155,16 +156,21 @@ class TubeController:
             self.u = self._decide(time + self.model.sample_time)
         return self.u
 
-    def _see(self, time: float, measured: Mapping[str, float]) -> None:
+    def filtered(self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float]) -> tuple[FloatArray, bool]:
+        """The identified filter's estimate one sample after `estimate` under u, and whether anything was measured."""
         y = np.array([float(measured.get(c, math.nan)) for c in self.columns])
         there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
+        found = self._step(estimate, u, self.p, np.nan_to_num(y), there)[0].full().ravel()
+        return found, bool(there.any())
+
+    def _see(self, time: float, measured: Mapping[str, float]) -> None:
         for i, name in enumerate(self.functions.parameters.names):
             value = measured.get(name, math.nan)
             if math.isfinite(value):
                 self.p[i] = value
-        if not there.any():
+        found, measured_any = self.filtered(self.estimate, self.u, measured)
+        if not measured_any:
             self._note(time, "no measurement")
-        found = self._step(self.estimate, self.u, self.p, np.nan_to_num(y), there)[0].full().ravel()
         if np.isfinite(found).all():
             self.estimate = found
         else:
@@ -242,17 +248,6 @@ class TubeController:
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:
     """The model with disturbances that do not decay; the noise that drives them stays."""
     return model.with_values({n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")})
-
-
-def _compiled(function: Any) -> Any:
-    """The function as compiled C where there is a compiler."""
-    from mpc_export.tube.native import native
-
-    return native(function)
-
-
-def _level(yaw: float) -> FloatArray:
-    return np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
 
 
 def _tilted(up: npt.NDArray[np.float64], yaw: float) -> FloatArray:

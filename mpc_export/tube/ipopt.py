@@ -66,8 +66,8 @@ class IpoptSolver:
             high += [np.zeros(nx), solver.data["rate_max"]]
             if k:
                 g += [u[k] - tight_u[k], u[k] + tight_u[k]]
-                low += [solver.data["u_min"] - 0.0, np.full(nu, -np.inf)]
-                high += [np.full(nu, np.inf), solver.data["u_max"] + 0.0]
+                low += [solver.data["u_min"].copy(), np.full(nu, -np.inf)]
+                high += [np.full(nu, np.inf), solver.data["u_max"].copy()]
         cost += f["tube_end"](x[n], given["x_end"])[0]
         for k in range(1, n + 1):
             planes = given["plane"][:, s["NPL"] * k : s["NPL"] * (k + 1)]
@@ -118,9 +118,8 @@ class IpoptSolver:
         n, nx, nu, nl = s["N"], s["NX"], s["NU"], s["NPL"] + 1
         values = np.concatenate([np.ravel(data[name]) for name in self._order])
         start = np.concatenate([data["x"].ravel(), data["u"].ravel(), np.zeros(n * nl)])
-        most = np.inf
-        lower = np.concatenate([np.full((n + 1) * nx, -most), np.tile(data["u_min"], n), np.zeros(n * nl)])
-        upper = np.concatenate([np.full((n + 1) * nx, most), np.tile(data["u_max"], n), np.full(n * nl, most)])
+        lower = np.concatenate([np.full((n + 1) * nx, -np.inf), np.tile(data["u_min"], n), np.zeros(n * nl)])
+        upper = np.concatenate([np.full((n + 1) * nx, np.inf), np.tile(data["u_max"], n), np.full(n * nl, np.inf)])
         found = self._solve(x0=start, p=values, lbx=lower, ubx=upper, lbg=self._bounds[0], ubg=self._bounds[1])
         stats = self._solve.stats()
         if not stats["success"]:

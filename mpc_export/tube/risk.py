@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from greybox.errors import ModelError
 from mpc_export.tube.solver import TubeSolver
+from mpc_export.tube.stages import block
 
 
 def kappa(level: float, pairs: float) -> float:
@@ -28,7 +29,7 @@ def kappa(level: float, pairs: float) -> float:
 def touched(solver: TubeSolver, near: float = 2e-3) -> int:
     """Planes that the state after the first stage of the present plan touches: closer than `near` [m]."""
     data = solver.data
-    place = [i for i, n in enumerate(solver.model.states.names) if n.startswith("position.")]
+    place = block(solver.model, "position")
     planes = data["plane"][1]
     left = planes[:, 3] - planes[:, :3] @ data["x"][1][place]
     there = (planes[:, :3] ** 2).sum(axis=1) > 0

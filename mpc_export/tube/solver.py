@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -198,12 +198,7 @@ def _compiled(sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]) -
     return build(
         [
             ("tube_model.c", model, (*FAST_FLAGS, "-fPIC")),
-            ("controller.c", driver, (*_flags(), "-fPIC", f"-I{include}")),
+            ("controller.c", driver, (*FAST_FLAGS, "-Wall", "-Wextra", "-fPIC", f"-I{include}")),
         ],
         link=(f"-L{private}", "-lgbhpi", "-l:libgbblasf.so.0", f"-Wl,-rpath,{private}"),
     )
-
-
-def _flags() -> Iterator[str]:
-    yield from FAST_FLAGS
-    yield from ("-Wall", "-Wextra")

@@ -67,7 +67,7 @@ def stages(model: ModelFunctions, problem: TubeProblem, *, white: bool = False) 
     _check(model, problem)
     x_steady, u_steady = _hover(model)
     keep = tuple(i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance."))
-    free = tuple(_block(model, "disturbance"))
+    free = tuple(block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
     q, r = _weights(model, problem)
     gain, terminal = _lqr(a, b, q, r, keep)
@@ -121,7 +121,8 @@ def _hover(model: ModelFunctions) -> tuple[FloatArray, FloatArray]:
     return x, u
 
 
-def _block(model: ModelFunctions, name: str, *, error: bool = False) -> list[int]:
+def block(model: ModelFunctions, name: str, *, error: bool = False) -> list[int]:
+    """Rows of a block of the state, such as "position", or of the error state."""
     layout = model.error_states if error else model.states
     prefix = f"d_{name}." if error else f"{name}."
     return [i for i, n in enumerate(layout.names) if n.startswith(prefix)]
@@ -132,8 +133,8 @@ def _weights(model: ModelFunctions, problem: TubeProblem) -> tuple[FloatArray, F
     w = problem.weights
     q = np.full(len(model.error_states), 1e-6)
     for name, weight in (("position", w.position), ("velocity", w.velocity), ("rate", w.rate)):
-        q[_block(model, name, error=True)] += weight**2
-    q[_block(model, "attitude", error=True)[2]] += w.yaw**2
+        q[block(model, name, error=True)] += weight**2
+    q[block(model, "attitude", error=True)[2]] += w.yaw**2
     r = np.full(len(model.inputs), w.command**2 + w.change**2 + 1e-9)
     return np.diag(q), np.diag(r)
 
@@ -207,13 +208,13 @@ def _cost(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) ->
     x, d, moved = _moved(model, keep)
     nu = len(model.inputs)
     u, before, ref = ca.SX.sym("u", nu), ca.SX.sym("v", nu), ca.SX.sym("ref", 7 + nu)
-    turn = rotation_matrix(moved[_block(model, "attitude")])
+    turn = rotation_matrix(moved[block(model, "attitude")])
     heading = ca.cos(ref[6]) * turn[1, 0] - ca.sin(ref[6]) * turn[0, 0]
     residual = ca.vertcat(
-        w.position * (moved[_block(model, "position")] - ref[:3]),
-        w.velocity * (moved[_block(model, "velocity")] - ref[3:6]),
+        w.position * (moved[block(model, "position")] - ref[:3]),
+        w.velocity * (moved[block(model, "velocity")] - ref[3:6]),
         w.yaw * heading,
-        w.rate * moved[_block(model, "rate")],
+        w.rate * moved[block(model, "rate")],
         w.command * (u - ref[7:]),
         w.change * (u - before),
     )
@@ -241,8 +242,8 @@ def _limits(model: ModelFunctions, problem: TubeProblem, keep: tuple[int, ...]) 
     """(x, planes (4, n)) -> values that must not be positive, and their Jacobian in d: planes, then tilt."""
     x, d, moved = _moved(model, keep)
     planes = ca.SX.sym("planes", 4, problem.planes)
-    place = moved[_block(model, "position")]
-    turn = rotation_matrix(moved[_block(model, "attitude")])
+    place = moved[block(model, "position")]
+    turn = rotation_matrix(moved[block(model, "attitude")])
     rows = [ca.dot(planes[:3, j], place) - planes[3, j] for j in range(problem.planes)]
     values = ca.vertcat(*rows, np.cos(problem.tilt_max) - turn[2, 2])
     found = ca.substitute([values, ca.jacobian(values, d)], [d], [ca.DM.zeros(d.shape)])
@@ -258,24 +259,17 @@ def _spread(
     x, u, p = _arguments(model)
     z = ca.MX.sym("Z", nd, nd)
     c, b = ca.MX.sym("c", nd, ng), ca.MX.sym("b", nd, nt)
-    _, a, by_u, _ = model["f_d_jac"](x, u, p)
-    closed = a + by_u @ ca.DM(gain)
-    total = ca.DM(estimate) + z
-    after = closed @ z @ closed.T
+    known = {"x": x, "u": u, "p": p, "K": ca.DM(gain), "S": z}
+    known |= {"c": ca.MX(nd, ng) if white else c} if ng else {}
+    step = model["consider_step"].call(known | ({"b": b} if nt else {}))
+    # That step adds the noise of an open loop; here the estimate's innovations come in its place.
+    after = step["S_next"] - ca.DM(model.noise.process)
     added = ca.DM(fresh)
-    c_next, b_next = c, b
-    if ng:
-        variance = ca.fmax(model["gp_variance"](model["gp_features_raw"](x, u, p)[0], p), 0.0)
-        through = model["B_d"](x, u, p)
-        push = through * ca.repmat(ca.sqrt(variance).T, nd, 1)
-        if white:
-            added = added + push @ push.T
-        else:
-            total = total + c @ c.T
-            c_next = closed @ c + push
-    if nt:
-        total = total + b @ ca.DM(model.covariance) @ b.T
-        b_next = closed @ b + model["P_theta"](x, u, p)
+    total = ca.DM(estimate) + step["total"]
+    c_next, b_next = step.get("c_next", c), step.get("b_next", b)
+    if ng and white:
+        # from nothing, what comes after one step is the push alone
+        added, c_next = added + c_next @ c_next.T, c
     if problem.kind == "worst case":
         ratio = ca.sqrt(ca.trace(after) / ca.fmax(ca.trace(added), 1e-30))
         # at the start there is nothing to add to

@@ -36,6 +36,7 @@ from scipy.stats import binomtest, chi2
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.files import write_json
+from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
@@ -189,7 +190,7 @@ def flight(
                 at(k, plant, pilot)
     path, given = np.array(states), np.array(commands)
     margins = {n: float(m.min()) for n, m in OBSTACLE_COURSE.margins(path[:, :3]).items()}
-    tilt = np.arccos(np.clip(1 - 2 * (path[:, 7] ** 2 + path[:, 8] ** 2), -1, 1))
+    tilt = np.arccos(np.clip(numeric("rotate", path[:, 6:10], np.tile([0.0, 0.0, 1.0], (len(path), 1)))[:, 2], -1, 1))
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
     out = {
         "seed": seed, "crashed": crashed, "margins": margins, "tilt": float(tilt.max()),
@@ -209,8 +210,7 @@ _TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 def _cost(path: Array, commands: Array, reference: Any) -> float:
     """Tracking cost with the controller's weights, per second."""
     w = PROBLEM.weights
-    qw, qx, qy, qz = path[:, 6:10].T
-    yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2)) - reference.yaw
+    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw
     terms = (
         w.position * (path[:, :3] - reference.position), w.velocity * (path[:, 3:6] - reference.velocity),
         w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
@@ -307,9 +307,7 @@ def _branch(plant: Any, flown: TubeController, groups: dict[str, int]) -> dict[s
             u = plan.u[k] + gain @ functions["boxminus"](state, plan.x[k]).full().ravel()
             u = np.clip(u, PROBLEM.command_min, PROBLEM.command_max)
         for _ in range(flown.every):
-            seen = plant.measure(u)
-            y = np.array([seen[c] for c in flown.columns])
-            estimate = flown._step(estimate, u, flown.p, y, np.ones(len(flown._present)))[0].full().ravel()
+            estimate, _ = flown.filtered(estimate, u, plant.measure(u))
             plant.step(u, DT)
         now = plant.states()
         true = plan.x[k + 1].copy()
