@@ -22,24 +22,7 @@ from scenarios.plants.effects import RotationalDamping
 from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import controller_for, x250
 from scenarios.plants.vehicle_file import write_vehicle
-
-FRICTION = """
-import casadi as ca
-from greybox.model.effect import Effect, vector_parameters
-
-class Friction(Effect):
-    name = "friction"
-    stage = "wrench"
-    summary = "rate damping under another name"
-    formula = "tau = -d omega"
-    references = ("Doe 2024, Friction of air",)
-
-    def parameters(self, vehicle):
-        return vector_parameters("d_", "pqr", unit="N m s", scale=1e-3, meaning="damping", lower=0.0)
-
-    def apply(self, flow, p):
-        return {"moment": -ca.vertcat(p["d_p"], p["d_q"], p["d_r"]) * flow.omega}
-"""
+from tests.friction import FRICTION
 
 
 @pytest.fixture(scope="module")

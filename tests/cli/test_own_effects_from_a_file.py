@@ -18,24 +18,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
-
-TWIN = """
-import casadi as ca
-from greybox.model.effect import Effect, vector_parameters
-
-class Friction(Effect):
-    name = "friction"
-    stage = "wrench"
-    summary = "rate damping under another name"
-    formula = "tau = -d omega"
-    references = ("Doe 2024, Friction of air",)
-
-    def parameters(self, vehicle):
-        return vector_parameters("d_", "pqr", unit="N m s", scale=1e-3, meaning="damping", lower=0.0)
-
-    def apply(self, flow, p):
-        return {"moment": -ca.vertcat(p["d_p"], p["d_q"], p["d_r"]) * flow.omega}
-"""
+from tests.friction import FRICTION
 
 
 def valid(kind: str, content: dict) -> dict:
@@ -52,7 +35,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_log(folder / "a.csv", member(log, 0), drop=["omega"])
     write_log(folder / "b.csv", member(log, 1), drop=["omega"])
     write_vehicle(folder / "v.toml", true_plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
-    (folder / "friction.py").write_text(TWIN)
+    (folder / "friction.py").write_text(FRICTION)
     return folder
 
 
@@ -92,7 +75,7 @@ def test_a_bad_effects_file_is_one_line_and_exit_code_two(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(files)
-    (tmp_path / "bad.py").write_text(TWIN.replace("flow.omega", "flow.omeg"))
+    (tmp_path / "bad.py").write_text(FRICTION.replace("flow.omega", "flow.omeg"))
     for command in (
         ["effects"],
         ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--out", str(tmp_path / "out")],

@@ -8,6 +8,7 @@ import pytest
 
 import greybox.discovery.candidates
 from greybox.data import Dataset
+from greybox.discovery.nested import Nest
 from greybox.model.effects import CATALOGUE
 from greybox.model.vehicle import Vehicle
 from scenarios.plants.effects import PlantEffect, RotationalDamping
@@ -40,3 +41,12 @@ def vehicle() -> Vehicle:
 def flown(*effects: PlantEffect, seeds: tuple[int, ...] = (1, 2), name: str = "train", seconds: float = 4.0) -> Dataset:
     """Flights with hidden effects."""
     return discovery_grid.flights(plant(*effects), seeds, seconds, name)
+
+
+def damped() -> Nest:
+    """The short catalogue before its first fit, on flights of a plant with hidden damping."""
+    with pytest.MonkeyPatch.context() as patch:
+        shorten(patch)
+        data = flown(DAMPING)
+        offered = greybox.discovery.candidates.candidates(vehicle(), data.channels, sample_time=0.01)
+    return Nest(candidates=offered, data=data)

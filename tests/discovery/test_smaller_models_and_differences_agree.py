@@ -20,11 +20,7 @@ from tests.discovery import small_world
 
 @pytest.fixture(scope="module")
 def nest() -> Nest:
-    with pytest.MonkeyPatch.context() as patch:
-        small_world.shorten(patch)
-        data = small_world.flown(small_world.DAMPING)
-        offered = candidates(small_world.vehicle(), data.channels, sample_time=0.01)
-    return Nest(candidates=offered, data=data)
+    return small_world.damped()
 
 
 @pytest.fixture(scope="module")
