@@ -27,6 +27,7 @@ from greybox.errors import GreyboxError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import Fit
+from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
@@ -162,8 +163,6 @@ def wrench_of(model: IdentifiedModel, data: Dataset, effects: Sequence[str], nul
             if "velocity.x" in at:
                 turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
                 if "attitude.w" in at:
-                    from greybox.frames import numeric
-
                     q = filtered.states[rows][:, [at[f"attitude.{a}"] for a in "wxyz"]]
                     turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
                 wrench[:, :3] = mass * turned
