@@ -18,7 +18,7 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
-from greybox.discovery.veto import Withheld, misfit, misfit_of, wrench_of
+from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
@@ -80,12 +80,13 @@ def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None
 
 
 def gap_rows(
-    null: Fit, last: Fit, extended: Fit | None, train: Dataset, judged: Dataset, *, adapt: float | None, attainable: bool,
-    seed: int, say: Callable[[str], None], notes: list[str],
+    null: NestedFit, last: NestedFit, extended: Fit | None, train: Dataset, judge: HeldOut, *, attainable: bool, seed: int,
+    say: Callable[[str], None], notes: list[str],
 ) -> tuple[GapRow, ...]:  # fmt: skip
-    """The gap table; what could not be computed is said in `notes`."""
+    """The gap table on the flights of `judge`; what could not be computed is said in `notes`."""
+    judged, adapt = judge.data, judge.adapt
     try:
-        before, after = squares(null.model, judged, adapt=adapt), squares(last.model, judged, adapt=adapt)
+        before, after = ((seen.own, seen.floor) for seen in (judge.foresight(null), judge.foresight(last)))
     except GreyboxError as error:
         notes.append(f"no gap table: {error}")
         return ()
@@ -99,7 +100,7 @@ def gap_rows(
     if attainable:
         say("attainable line")
         try:
-            learned = _learned(null, train, judged, adapt=adapt, seed=seed)
+            learned = _learned(null.fit, train, judged, adapt=adapt, seed=seed)
         except GreyboxError as error:
             notes.append(f"no attainable line: {error}")
     return tuple(gap(before, after, proposals=proposed_laws, attainable=learned, seed=seed))

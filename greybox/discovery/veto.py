@@ -67,7 +67,8 @@ class Withheld:
 
 
 class HeldOut:
-    """Flights that were not searched, and what fits say on them (remembered, as every fit is asked twice)."""
+    """Flights that judge (in a veto those that were not searched), and what fits say on them: remembered, as every fit is
+    asked more than once."""
 
     def __init__(self, data: Dataset, adapt: float | None = None) -> None:
         self.data, self.adapt = data, adapt

@@ -309,7 +309,8 @@ def discover(
     settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
     nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
 
-    held_out = HeldOut(judged, adapt) if judged is not train else None
+    judge = HeldOut(judged, adapt)
+    held_out = judge if judged is not train else None
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
         # A model file has white sensors: what was saved without their noise models stands until the end.
@@ -351,8 +352,8 @@ def discover(
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
     rows = gap_rows(
-        null.fit, at.fit, with_proposals(at.fit, leftover, train), train, judged, adapt=adapt, attainable=attainable,
-        seed=seed, say=lambda text: say(text, 0.95), notes=warnings,
+        null, at, with_proposals(at.fit, leftover, train), train, judge, attainable=attainable, seed=seed,
+        say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
     separating = {}
     for a in additions:
