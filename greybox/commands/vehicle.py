@@ -1,0 +1,137 @@
+"""`greybox vehicle`: write a vehicle file from a template or from answers, and say what in one is implausible."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any
+
+TEMPLATES = {
+    "crazyflie": "Crazyflie 2.1, 27 g, measured by Förster (2015)",
+    "racer250": "250 mm racing quadrotor of 0.75 kg (Agilicious, 2022)",
+    "duckiedrone": "Duckiedrone-like, plus, 0.9 kg (numbers assumed)",
+    "x": "any quadrotor in X, sized by mass, arm and hover command",
+    "plus": "any quadrotor in plus, sized by mass, arm and hover command",
+}
+QUESTIONS = (
+    ("name", "name of the craft", str),
+    ("mass", "mass ready to fly [kg]", float),
+    ("mass.sigma", "how sure is the mass, one sigma [kg]", float),
+    ("arm", "distance from the centre to a motor axis [m]", float),
+    ("hover", "command in hover, 0 to 1 (from a log or the pilot's stick)", float),
+    ("actuator.rotor_radius", "radius of a propeller [m]", float),
+    ("battery.nominal_voltage", "nominal voltage of the battery [V]", float),
+)
+"""What is asked on a terminal: key, question, type. An empty answer keeps the template's number."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command and its two subcommands."""
+    parser = subparsers.add_parser(
+        "vehicle",
+        help="write a vehicle file, or say what in one is implausible",
+        description="Write a vehicle file (new) or judge one (check). Exit code 0: done; 1: check found something that "
+        "no craft has; 2: bad input.",
+    )
+    kinds = parser.add_subparsers(dest="vehicle_command", required=True, metavar="new|check")
+    new = kinds.add_parser(
+        "new",
+        help="write a vehicle file from a template, or from answers on a terminal",
+        description="Write a vehicle file. Without --template questions are asked on the terminal. Templates: "
+        + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
+    )  # fmt: skip
+    new.add_argument("--template", metavar="NAME", help=", ".join(TEMPLATES))
+    new.add_argument("--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="changes",
+                     help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine")  # fmt: skip
+    new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
+    new.add_argument("--force", action="store_true", help="write over an existing file")
+    new.set_defaults(run=run_new)
+    check = kinds.add_parser(
+        "check",
+        help="say what in a vehicle file is implausible",
+        description="Judge a vehicle file: thrust to weight, hover command, inertia, rotor positions and spins, torque, "
+        "motor lag, sigmas, slips of unit. Exit code 0: nothing blocks; 1: no craft is like that; 2: not a vehicle file.",
+    )
+    check.add_argument("vehicle", metavar="V.toml", help="vehicle file")
+    check.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    check.set_defaults(run=run_check)
+
+
+def run_new(arguments: argparse.Namespace) -> int:
+    """Write the file. Returns 0. Raises `VehicleError`, `UnknownNameError`, `OutputError`."""
+    from pathlib import Path
+
+    from greybox.errors import VehicleError
+    from greybox.files import write_atomic
+    from greybox.model.vehicle_template import TEMPLATES as KNOWN
+    from greybox.model.vehicle_template import settings, vehicle_text
+
+    if arguments.out and Path(arguments.out).exists() and not arguments.force:
+        raise VehicleError("the file exists", where=arguments.out, fix="choose another --out, or add --force")
+    changes = settings(arguments.changes)
+    name = arguments.template
+    if name is None:
+        if not sys.stdin.isatty():
+            raise VehicleError(
+                "no template, and no terminal to ask on",
+                expected=f"--template {', '.join(KNOWN)}",
+                fix="--template x --set mass=0.5 arm=0.12",
+            )
+        name, answers = ask(lambda prompt: input(prompt))
+        changes = answers | changes
+    text = vehicle_text(name, changes)
+    if not arguments.out:
+        print(text, end="")
+        return 0
+    print(
+        f"wrote {write_atomic(arguments.out, text)}; now weigh, measure and run: greybox vehicle check {arguments.out}"
+    )
+    return 0
+
+
+def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
+    """(template, settings) from questions; `reply` takes a prompt and gives the answer. A bad number is asked for again."""
+    import tomllib
+
+    from greybox.model.vehicle_template import template_text
+
+    for key, text in TEMPLATES.items():
+        print(f"  {key:12} {text}")
+    name = reply("template [x]: ").strip() or "x"
+    data = tomllib.loads(template_text(name))
+    arm = max((r["position"][0] ** 2 + r["position"][1] ** 2) ** 0.5 for r in data["rotor"])
+    known: dict[str, Any] = {
+        "name": data["name"],
+        "mass": data["mass"]["value"],
+        "mass.sigma": "1 %",
+        "arm": round(arm, 4),
+        "hover": "as in the template",
+        "actuator.rotor_radius": data["actuator"]["rotor_radius"],
+        "battery.nominal_voltage": data["battery"]["nominal_voltage"],
+    }
+    answers: dict[str, Any] = {}
+    for key, question, kind in QUESTIONS:
+        while (answer := reply(f"{question} [{known[key]}]: ").strip()) != "":
+            try:
+                answers[key] = kind(answer)
+                break
+            except ValueError:
+                print(f"  a number is needed here, got '{answer}'")
+    return name, answers
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something blocks."""
+    from greybox.files import dump_json, write_json
+    from greybox.model.plausibility import check_vehicle
+    from greybox.model.vehicle import read_vehicle
+
+    report = check_vehicle(read_vehicle(arguments.vehicle))
+    if arguments.json == "-":
+        print(dump_json(report.to_dict()), end="")
+    else:
+        if arguments.json:
+            write_json(arguments.json, report.to_dict())
+        print(report.summary())
+    return 0 if report.ok else 1

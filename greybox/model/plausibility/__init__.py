@@ -1,0 +1,74 @@
+"""Plausibility: what in a vehicle file no quadrotor has, and which slip of unit or sign would explain it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from greybox.model.plausibility import judges
+from greybox.model.plausibility.craft import Craft
+from greybox.model.plausibility.finding import SEVERITIES, Implausible
+from greybox.model.vehicle import Vehicle
+
+SCHEMA = "greybox.vehicle_check/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plausibility:
+    """What `check_vehicle` found, the worst first, and the key figures (SI) of the craft."""
+
+    vehicle: str
+    figures: dict[str, float | None]
+    findings: tuple[Implausible, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing blocks."""
+        return all(f.severity != "blocking" for f in self.findings)
+
+    @property
+    def verdict(self) -> str:
+        """ "plausible", "warnings" or "implausible"."""
+        levels = {f.severity for f in self.findings}
+        return "implausible" if "blocking" in levels else "warnings" if "warning" in levels else "plausible"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of `greybox vehicle check --json` (schema "greybox.vehicle_check/1")."""
+        return {
+            "schema": SCHEMA,
+            "vehicle": self.vehicle,
+            "verdict": self.verdict,
+            "counts": {s: sum(f.severity == s for f in self.findings) for s in SEVERITIES},
+            "figures": self.figures,
+            "findings": [asdict(f) for f in self.findings],
+        }
+
+    def summary(self) -> str:
+        """The findings and key figures as text."""
+        units = {"mass": " kg", "arm_length": " m", "torque_over_thrust": " m", "tip_speed": " m/s"}
+        figures = [f"{k.replace('_', ' ')} {v:.3g}{units.get(k, '')}" for k, v in self.figures.items() if v is not None]
+        return "\n".join(
+            [f"{self.vehicle}: {self.verdict}", f"  {', '.join(figures)}", *(f.line() for f in self.findings)]
+        )
+
+
+def check_vehicle(vehicle: Vehicle) -> Plausibility:
+    """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the catalogue does not have."""
+    craft = Craft(vehicle)
+    found = list(judges.size(craft))
+    if any(f.severity == "blocking" for f in found):
+        found.append(
+            Implausible(
+                "info",
+                "inertia",
+                "not judged, nor thrust and torque, before mass and arms are right",
+                "-",
+                "-",
+                "check again",
+            )
+        )
+    else:
+        found += [f for judge in (judges.inertia, judges.thrust, judges.rotors, judges.points) for f in judge(craft)]
+    found += [f for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise) for f in judge(craft)]
+    found.sort(key=lambda f: SEVERITIES.index(f.severity))
+    return Plausibility(vehicle=vehicle.name, figures=craft.figures, findings=tuple(found))

@@ -1,0 +1,193 @@
+"""`greybox vehicle`: templates become files that the reader takes, and slips of unit, sign or layout are found by name."""
+
+from __future__ import annotations
+
+import io
+import json
+import tomllib
+from importlib.resources import files
+
+import jsonschema
+import numpy as np
+import pytest
+
+from greybox.cli import main
+from greybox.commands import vehicle as command
+from greybox.model.plausibility import check_vehicle
+from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.vehicle_template import TEMPLATES, template_text, vehicle_text
+from scenarios.flights import vehicle_path
+
+SCHEMA = json.loads(files("greybox").joinpath("schemas/vehicle_check.json").read_text())
+
+
+def changed(template: str = "x", **changes: object) -> Vehicle:
+    """A template with raw keys of its file replaced; dots are written as two underscores."""
+    data = tomllib.loads(template_text(template))
+    for key, value in changes.items():
+        *path, last = key.split("__")
+        table = data
+        for part in path:
+            table = table.setdefault(part, {})
+        table[last] = value
+    return Vehicle.from_dict(data)
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_every_template_is_read_and_plausible(name):
+    report = check_vehicle(Vehicle.from_dict(tomllib.loads(template_text(name))))
+    assert report.verdict == "plausible", report.summary()
+    assert set(command.TEMPLATES) == set(TEMPLATES)
+
+
+@pytest.mark.parametrize("name", ["nanobench", "arpl_crazyflie"])
+def test_shipped_real_craft_are_not_called_impossible(name):
+    assert check_vehicle(read_vehicle(vehicle_path(name))).ok
+
+
+def test_the_crazyflies_maps_are_the_thesis_numbers():
+    vehicle = Vehicle.from_dict(tomllib.loads(template_text("crazyflie")))
+    command = np.array([10000.0, 40000.0, 65535.0])
+    stated = 2.130295e-11 * command**2 + 1.032633e-6 * command + 5.484560e-4
+    thrust = sum(q.value * (command / 65535) ** k for k, q in enumerate(vehicle.actuator.thrust))
+    torque = sum(q.value * (command / 65535) ** k for k, q in enumerate(vehicle.actuator.torque))
+    np.testing.assert_allclose(thrust, stated, rtol=1e-6)
+    np.testing.assert_allclose(torque, 0.005964552 * stated + 1.563383e-5, rtol=1e-5)
+
+
+SLIPS = {
+    "mass in grams": ({"mass": 500.0}, "mass", "grams"),
+    "arms in millimetres": (
+        {
+            "rotor": [
+                {"position": [88 * x, 88 * y, 0.0], "spin": -x * y} for x, y in ((1, -1), (-1, -1), (-1, 1), (1, 1))
+            ]
+        },
+        "rotor.position",
+        "millimetres",
+    ),
+    "inertia in g m^2": ({"inertia": np.diag([1.875, 1.875, 3.359]).tolist()}, "inertia.xx", "g m^2"),
+    "inertia in g cm^2": ({"inertia": np.diag([18750.0, 18750.0, 33590.0]).tolist()}, "inertia.xx", "g cm^2"),
+    "thrust in gram-force": ({"actuator__thrust": [0.0, 0.0, 500.0]}, "actuator.thrust", "gram-force"),
+    "too weak": ({"actuator__thrust": [0.0, 0.0, 1.0]}, "actuator.thrust", "thrust of one rotor"),
+    "negative torque": ({"actuator__torque": [0.0, 0.0, -0.07]}, "actuator.torque", "spin"),
+    "no torque map": ({"actuator__torque": [0.0, 0.0, 0.0]}, "rotor", "torque map"),
+    "rpm": ({"actuator__speed_max": 24000.0}, "actuator.speed_max", "rpm"),
+    "lag in ms": ({"effects__motor_lag": {"tau": 40.0}}, "effects.motor_lag.tau", "milliseconds"),
+    "falling thrust": ({"actuator__thrust": [0.0, 20.0, -14.0]}, "actuator.thrust", "order"),
+    "lifts off at u_min": ({"actuator__u_min": 0.7}, "actuator", "u_min"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_slip_blocks_and_its_fix_says_what_it_was(slip):
+    changes, where, words = SLIPS[slip]
+    report = check_vehicle(changed(**changes))
+    found = [f for f in report.findings if f.severity == "blocking" and f.where == where]
+    assert found and words in found[0].fix, report.summary()
+    assert not report.ok
+
+
+def test_spins_that_leave_no_yaw_are_found():
+    rotors = tomllib.loads(template_text("x"))["rotor"]
+    for spins in ((1, 1, 1, 1), (1, 1, -1, -1), (1, -1, -1, 1)):
+        mixed = [{**r, "spin": s} for r, s in zip(rotors, spins, strict=True)]
+        report = check_vehicle(changed(rotor=mixed))
+        assert any(f.where == "rotor" and "yaw" in f.message for f in report.findings), spins
+
+
+def test_a_centre_of_mass_outside_the_rotors_cannot_hover():
+    report = check_vehicle(changed(center_of_mass=[0.2, 0.0, 0.0]))
+    assert any("cannot hover level" in f.message for f in report.findings)
+
+
+def test_hover_and_thrust_come_from_the_models_own_equations():
+    plain = check_vehicle(changed()).figures["hover_command"]
+    assert plain == pytest.approx(0.5, abs=1e-3)
+    curved = check_vehicle(changed(effects__thrust_curve={"f": 0.5})).figures["hover_command"]
+    # (1 - f) u + f u^2 = 0.5
+    assert curved == pytest.approx(np.sqrt(0.25 + 1.0) - 0.5, abs=1e-3)
+
+
+def test_warnings_for_what_is_unusual_but_possible():
+    report = check_vehicle(changed(inertia=np.diag([1.875e-3, 1.875e-3, 3.9e-3]).tolist(), noise__gyro=1.0))
+    assert report.verdict == "warnings"
+    assert {"inertia", "noise.gyro"} <= {f.where for f in report.findings}
+    exact = changed(
+        mass=0.5, inertia_sigma=[0.0] * 3, actuator__thrust_sigma=[0.0] * 3, actuator__torque_sigma=[0.0] * 3
+    )
+    assert any(f.where == "sigma" and f.severity == "warning" for f in check_vehicle(exact).findings)
+
+
+def test_sizes_scale_the_generic_templates():
+    small = Vehicle.from_dict(tomllib.loads(vehicle_text("plus", {"mass": 0.03, "arm": 0.046, "hover": 0.7})))
+    report = check_vehicle(small)
+    assert report.verdict == "plausible", report.summary()
+    assert report.figures["hover_command"] == pytest.approx(0.7, abs=1e-3)
+    assert small.inertia[0][0] == pytest.approx(0.24 * 0.03 * 0.046**2, rel=1e-5)
+    assert small.mass.sigma == pytest.approx(0.0003)
+
+
+def test_a_changed_number_loses_its_source_and_the_others_keep_theirs():
+    lines = vehicle_text("crazyflie", {"mass": 0.034, "thrust.c2.sigma": 0.01, "noise.velocity": 0.02}).splitlines()
+    (mass,) = [line for line in lines if line.startswith("mass =")]
+    (noise,) = [line for line in lines if line.startswith("velocity =")]
+    assert mass.endswith("# kg, given") and noise.endswith("# given")
+    assert any(line.startswith("inertia =") and "[1]" in line for line in lines)
+
+
+def test_command_writes_checks_and_answers_by_exit_code(tmp_path, capsys):
+    out = tmp_path / "deep" / "v.toml"
+    new = ["vehicle", "new", "--template", "x", "--set", "mass=0.8", "name=my craft", "--out", str(out)]
+    assert main(new) == 0
+    assert read_vehicle(out).name == "my craft"
+    assert main(new) == 2  # never over an existing file
+    assert "--force" in capsys.readouterr().err
+    assert main(["vehicle", "check", str(out), "--json", "-"]) == 0
+    jsonschema.validate(json.loads(capsys.readouterr().out), SCHEMA)
+    out.write_text(out.read_text().replace("value = 0.8", "value = 800"))
+    target = tmp_path / "check.json"
+    assert main(["vehicle", "check", str(out), "--json", str(target)]) == 1
+    result = json.loads(target.read_text())
+    jsonschema.validate(result, SCHEMA)
+    assert result["verdict"] == "implausible"
+    assert "grams" in capsys.readouterr().out
+    assert main(["vehicle", "new", "--template", "plus"]) == 0
+    assert tomllib.loads(capsys.readouterr().out)["name"] == "quadrotor in plus"
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        (["--template", "crazyfly"], "crazyflie"),
+        (["--template", "x", "--set", "mass"], "KEY=VALUE"),
+        (["--template", "x", "--set", "mass=heavy"], "above zero"),
+        (["--template", "x", "--set", "hover=1.5"], "command range"),
+        (["--template", "x", "--set", "thrust.c3=1"], "thrust.c2"),
+        (["--template", "x", "--set", "noise.giro=1"], "gyro"),
+        (["--template", "x", "--set", "inertia.xx=1"], "no body has"),
+        ([], "--template"),
+    ],
+)
+def test_bad_input_is_one_line(extra, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    out = tmp_path / "v.toml"
+    assert main(["vehicle", "new", *extra, "--out", str(out)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert words in error and "\n" not in error
+    assert not out.exists()
+
+
+def test_a_file_that_is_no_vehicle_file_is_exit_code_two(tmp_path, capsys):
+    bad = tmp_path / "v.toml"
+    bad.write_text("mass = 1")
+    assert main(["vehicle", "check", str(bad)]) == 2
+    assert "schema" in capsys.readouterr().err
+
+
+def test_questions_keep_defaults_and_ask_again_for_a_number(capsys):
+    replies = iter(["plus", "", "heavy", "0.7", "", "0.2", "", "", ""])
+    name, answers = command.ask(lambda _: next(replies))
+    assert (name, answers) == ("plus", {"mass": 0.7, "arm": 0.2})
+    assert "a number is needed" in capsys.readouterr().out
+    assert check_vehicle(Vehicle.from_dict(tomllib.loads(vehicle_text(name, answers)))).verdict == "plausible"
