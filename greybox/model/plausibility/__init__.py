@@ -61,10 +61,10 @@ def check_vehicle(vehicle: Vehicle) -> Plausibility:
             Implausible(
                 "info",
                 "inertia",
-                "not judged, nor thrust and torque, before mass and arms are right",
-                "-",
-                "-",
-                "check again",
+                "not judged, nor thrust and torque",
+                "mass and arms that fit each other",
+                "see above",
+                "correct them, then check again",
             )
         )
     else:
