@@ -76,8 +76,8 @@ class TubeController:
     kappa: standard deviations by which every plane, the tilt (last) and the commands are tightened: (planes + 1,) and
     `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
     (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
-    they decay as identified, which suits gusts. The sample time of `problem` must be a multiple of the model's. Raises
-    `ModelError`, `BuildError`.
+    they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage (for comparison).
+    The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
 
     model: IdentifiedModel
@@ -88,6 +88,7 @@ class TubeController:
     kappa_u: float = 0.0
     integrate: bool = True
     kernels: Sequence[CKernel] = ()
+    white: bool = False
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -95,11 +96,21 @@ class TubeController:
         model = _integrating(self.model) if self.integrate else self.model
         self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
         self.filter: ModelFunctions = model_functions(model, with_=("filter",))
-        self.solver = TubeSolver(self.functions, self.problem, kernels=self.kernels)
+        self.solver = TubeSolver(
+            self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance()
+        )
         self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         self._present = [[self.columns.index(c) for c in names] for names in self.model.dynamics.innovation_columns]
         self.start()
+
+    def _filter_covariance(self) -> FloatArray:
+        """P_f of the filter at the model's sample time, in the error state of the plan; the history of commands is known."""
+        size = len(self.functions.error_states)
+        own = size - (len(self.functions.states) - self.functions.own_states)
+        full = np.zeros((size, size))
+        full[:own, :own] = self.filter.noise.covariance[:own, :own]
+        return full
 
     def start(self, x: FloatArray | None = None, time: float = 0.0) -> None:
         """Forget everything; estimate x (n_x,), default hover at the reference's place."""

@@ -37,7 +37,9 @@ class TubeProblem:
     dt [s]: sample time of plan and controller; horizon: stages; planes: how many position constraints a stage has room
     for. command_min, command_max and rate_max (change per sample) bound every command and are hard; planes and tilt_max
     [rad] are soft with an exact penalty: `penalty` per metre (or unit of cosine) beyond, `penalty_square` on its square.
-    feedback: whether the ancillary gain acts inside the tube; without it the covariance is that of an open loop. kind:
+    feedback: whether the ancillary gain acts inside the tube; without it the covariance is that of an open loop. ancillary:
+    weights of the LQR that gives this gain, default those of the tracking cost; a stiffer one makes the tube narrower in
+    place and takes more off the commands. kind:
     "probabilistic" (covariances, back-off = kappa standard deviations) or "worst case" (ellipsoids that hold
     every disturbance inside its own ellipsoid; back-off = their half width).
     """
@@ -46,6 +48,7 @@ class TubeProblem:
     horizon: int = 20
     planes: int = 4
     weights: Weights = field(default_factory=Weights)
+    ancillary: Weights | None = None
     command_min: float = 0.05
     command_max: float = 0.95
     rate_max: float = 0.25

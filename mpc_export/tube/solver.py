@@ -71,7 +71,8 @@ class Outcome:
 class TubeSolver:
     """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write, call, read.
 
-    Raises `BuildError` without a C compiler or where HPIPM is not with CasADi, `ModelError` from `stages`.
+    white and estimate: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi, `ModelError`
+    from `stages`.
     """
 
     def __init__(
@@ -81,9 +82,10 @@ class TubeSolver:
         *,
         kernels: Sequence[CKernel] = (),
         white: bool = False,
+        estimate: FloatArray | None = None,
     ) -> None:
         self.model, self.problem = model, problem
-        self.stages: Stages = stages(model, problem, white=white)
+        self.stages: Stages = stages(model, problem, white=white, estimate=estimate)
         n = model.sizes
         self.sizes = {
             "N": problem.horizon, "NX": n["n_x"], "ND": n["n_d"], "NU": n["n_u"], "NP": n["n_p"],

@@ -35,7 +35,7 @@ from greybox.errors import ModelError
 from greybox.frames import rotation_matrix
 from greybox.symbolic import Expr, FloatArray
 from mpc_export.functions import ModelFunctions
-from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.problem import TubeProblem, Weights
 
 NEEDED = ("position", "velocity", "attitude", "rate")
 
@@ -58,22 +58,26 @@ class Stages:
     fresh: FloatArray
 
 
-def stages(model: ModelFunctions, problem: TubeProblem, *, white: bool = False) -> Stages:
+def stages(
+    model: ModelFunctions, problem: TubeProblem, *, white: bool = False, estimate: FloatArray | None = None
+) -> Stages:
     """Stage functions for a model exported at the controller's sample time with groups "covariance" and "target".
 
-    white: treat the learned function's error as noise that is fresh at every step, for comparison. Raises `ModelError` for a
-    model that has no position, velocity, attitude and rates.
+    white: treat the learned function's error as noise that is fresh at every step, for comparison. estimate (n_d, n_d): P_f
+    of the filter that will run; default that of a filter at the model's sample time, which is too wide where the real one
+    runs faster than the plan. Raises `ModelError` for a model that has no position, velocity, attitude and rates.
     """
     _check(model, problem)
     x_steady, u_steady = _hover(model)
     keep = tuple(i for i, n in enumerate(model.error_states.names) if not n.startswith("d_disturbance."))
     free = tuple(block(model, "disturbance"))
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x_steady, u_steady, model.parameter_values))
-    q, r = _weights(model, problem)
-    gain, terminal = _lqr(a, b, q, r, keep)
+    gain, terminal = _lqr(a, b, *_weights(model, problem.weights), keep)
+    if problem.ancillary is not None:
+        gain, _ = _lqr(a, b, *_weights(model, problem.ancillary), keep)
     if not problem.feedback:
         gain = np.zeros_like(gain)
-    estimate = model.noise.covariance
+    estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
     fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate)
     made = [
         _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
@@ -128,9 +132,8 @@ def block(model: ModelFunctions, name: str, *, error: bool = False) -> list[int]
     return [i for i, n in enumerate(layout.names) if n.startswith(prefix)]
 
 
-def _weights(model: ModelFunctions, problem: TubeProblem) -> tuple[FloatArray, FloatArray]:
+def _weights(model: ModelFunctions, w: Weights) -> tuple[FloatArray, FloatArray]:
     """Stage cost about hover as Q (n_d, n_d) and R (n_u, n_u)."""
-    w = problem.weights
     q = np.full(len(model.error_states), 1e-6)
     for name, weight in (("position", w.position), ("velocity", w.velocity), ("rate", w.rate)):
         q[block(model, name, error=True)] += weight**2

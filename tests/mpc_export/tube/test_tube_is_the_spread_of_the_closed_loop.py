@@ -1,13 +1,24 @@
 """The tube's covariance is that of a simulated loop of plant, identified filter and ancillary gain."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from mpc_export.functions import model_functions
-from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.controller import TubeController
+from mpc_export.tube.problem import TubeProblem, Weights
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import _weights, stages
 from tests.mpc_export import cases
+
+
+class Origin:
+    """Stay at the origin."""
+
+    def sample(self, time):
+        zero = np.zeros((len(time), 3))
+        return SimpleNamespace(position=zero, velocity=zero, acceleration=zero, yaw=zero[:, 0])
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +122,7 @@ def test_gain_is_the_riccati_solution_with_disturbances_as_states(solver):
     x, u = made.steady
     _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
     rows = list(made.keep)
-    q, r = _weights(model, solver.problem)
+    q, r = _weights(model, solver.problem.weights)
     # value iteration over all states, which needs no stabilisability
     p, gain = np.zeros_like(q), np.zeros_like(made.gain)
     for _ in range(4000):
@@ -119,3 +130,25 @@ def test_gain_is_the_riccati_solution_with_disturbances_as_states(solver):
         p = q + a.T @ p @ (a + b @ gain)
     np.testing.assert_allclose(made.gain, gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
     np.testing.assert_allclose(made.terminal, p[np.ix_(rows, rows)], rtol=1e-5, atol=1e-6 * np.abs(p).max())
+
+
+def test_the_filters_error_is_that_of_the_filter_that_runs():
+    # plans twice as long as the filter's samples: the tube starts at the error of the quick filter
+    model = cases.disturbed()
+    problem = TubeProblem(dt=2 * model.sample_time, horizon=2)
+    pilot = TubeController(model=model, problem=problem, reference=Origin(), integrate=False)
+    stated, slow = pilot.solver.stages.estimate, pilot.functions.noise.covariance
+    own = model_functions(model).noise.covariance
+    for name in ("d_position.x", "d_velocity.z", "d_attitude.y", "d_disturbance.force.x"):
+        at, there = pilot.functions.error_states.names.index(name), pilot.filter.error_states.names.index(name)
+        assert stated[at, at] == own[there, there] > 0
+        assert stated[at, at] < 0.8 * slow[at, at]
+
+
+def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(solver):
+    model = solver.model
+    stiff = stages(model, TubeProblem(dt=model.dt, ancillary=Weights(position=64.0)))
+    at = model.error_states.names.index("d_position.x")
+    wide, narrow = (spread(made, model, 60)[0][-1, at, at] for made in (solver.stages, stiff))
+    assert narrow < 0.5 * wide
+    np.testing.assert_array_equal(stiff.terminal, solver.stages.terminal)
