@@ -76,7 +76,7 @@ class TubeController:
     kappa: standard deviations by which every plane, the tilt (last) and the commands are tightened: (planes + 1,) and
     `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
     (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
-    they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage (for comparison).
+    they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage, to compare.
     The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
 

@@ -71,8 +71,8 @@ class Outcome:
 class TubeSolver:
     """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write, call, read.
 
-    white and estimate: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi, `ModelError`
-    from `stages`.
+    white and estimate: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi,
+    `ModelError` from `stages`.
     """
 
     def __init__(
