@@ -29,7 +29,7 @@ from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.problem import Problem, few_samples, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.model.effects import CATALOGUE
@@ -149,10 +149,10 @@ def _canonical(model: Any) -> Any:
     return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))
 
 
-def _prepare(task: Task) -> None:
+def _prepare(task: Task, data: Dataset) -> None:
     """Build the step that the task needs."""
     model = _canonical(task.model)
-    engine_for(model, tuple(d.name for d in model.parameters if d.name in task.free))
+    engine_for(model, tuple(d.name for d in model.parameters if d.name in task.free), quick=few_samples(data))
 
 
 def solve(task: Task, data: Dataset) -> Refit:
@@ -221,7 +221,7 @@ class Nest:
         if self.executor is None or len(left) < 2 or not all(_sendable(tasks[i]) for i in left):
             # Compilers are processes: those of several models run side by side.
             with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-                list(pool.map(_prepare, [tasks[i] for i in left]))
+                list(pool.map(lambda i: _prepare(tasks[i], self.data), left))
             new = [solve(tasks[i], self.data) for i in left]
         else:
             new = [f.result() for f in [self.executor.submit(solve, tasks[i], self.data) for i in left]]

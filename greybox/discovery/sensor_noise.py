@@ -81,9 +81,12 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     or it and one of the rival's effects to the rival.
 
     `at` is the fit without either. None where the IMU is filtered already, or is not there, or the filter does not win.
+    It is not asked where the rival leaves the IMU's innovations white: a filter colours the noise in front of it.
     """
     physics: Any = white(nest.candidates.model)
     sensors = {s.name for s in physics.sensors}
+    if not any(n.split(".")[0] in ("gyro", "accelerometer") for n in suspicious(rival.fit)):
+        return None
     had = parts_of(nest.candidates.model)
     parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
     if not parts or any(p.kind == "low_pass" for p in had):

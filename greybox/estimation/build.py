@@ -73,13 +73,26 @@ def _object(cc: str, name: str, text: str, flags: Sequence[str]) -> Path:
     return cache_dir() / f"{digest.hexdigest()}.o"
 
 
+def _library(cc: str, sources: Sequence[tuple[str, str, Sequence[str]]], link: Sequence[str]) -> Path:
+    """Where the library of these sources is kept."""
+    digest = hashlib.sha256(_version(cc).encode())
+    for name, text, flags in sources:
+        digest.update(f"\0{name}\0{' '.join(flags)}\0{text}".encode())
+    if link:
+        digest.update(f"\0{' '.join(link)}".encode())
+    return cache_dir() / f"{digest.hexdigest()}.so"
+
+
 def build(
     sources: Sequence[tuple[str, str, Sequence[str]]],
     rewrite: Mapping[str, Callable[[str], str]] | None = None,
     *,
     link: Sequence[str] = (),
+    instead: Mapping[str, Sequence[str]] | None = None,
 ) -> Path:
     """Shared library of C sources [(name, text, flags)] linked with the flags `link`.
+
+    Where it is not in the cache, flags of the sources named in `instead` are replaced by these.
 
     Raises `BuildError` with the compiler's first complaint.
 
@@ -89,12 +102,10 @@ def build(
     cc = compiler()
     if cc is None:
         raise BuildError("no C compiler", fix="install gcc or clang; without one greybox runs in CasADi's VM")
-    digest = hashlib.sha256(_version(cc).encode())
-    for name, text, flags in sources:
-        digest.update(f"\0{name}\0{' '.join(flags)}\0{text}".encode())
-    if link:
-        digest.update(f"\0{' '.join(link)}".encode())
-    target = cache_dir() / f"{digest.hexdigest()}.so"
+    target = _library(cc, sources, link)
+    if instead and not target.exists():
+        sources = [(name, text, instead.get(name, flags)) for name, text, flags in sources]
+        target = _library(cc, sources, link)
     if target.exists():
         return target
     with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:

@@ -3,7 +3,7 @@
 Once the states of a record are known, its linearisations do not depend on each other: four samples share one pass, one in
 each lane of a vector register (GNU C vector extensions, which gcc and clang lower to what the processor has). Sums,
 products and quotients act on whole vectors; the few functions, comparisons and branches run lane by lane. The numbers
-are those of the scalar code up to rounding (a processor may fuse products and sums).
+are those of the scalar code up to rounding.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 import re
 
 LANES = 4
-FLAGS = ("-O1", "-march=native", "-fPIC", "-w")
+FLAGS = ("-O1", "-ffp-contract=off", "-march=native", "-fPIC", "-w")
+QUICK_FLAGS = ("-O0", *FLAGS[1:])
+"""Without optimisation, the same sums and products in the same order: nothing is fused in either."""
 PRELUDE = f"""/* lanes, revision 1 */
 typedef double gb_lanes __attribute__((vector_size({8 * LANES})));
 typedef double gb_lanes_store __attribute__((vector_size({8 * LANES}), aligned(8), may_alias));

@@ -24,6 +24,8 @@ from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import FloatArray
 
 IndexArray = npt.NDArray[np.intp]
+FEW = 60_000
+"""Samples below which sensitivities are compiled without optimisation: a dozen passes over them cost less than it takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,6 +256,11 @@ class Problem:
         return [work(i) for i in range(count)]
 
 
+def few_samples(dataset: Dataset) -> bool:
+    """Whether a fit takes less time than the compiler needs to make it faster."""
+    return sum(s.n for f in dataset.flights for s in f.segments) < FEW
+
+
 def make_problem(
     dynamics: Dynamics,
     dataset: Dataset,
@@ -306,7 +313,7 @@ def make_problem(
     dt = sample_time(dataset)
     wanted = set(chosen if build is None else known(build))
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
-    engine = engine_for(dynamics, built, use_compiler=use_compiler).select(tuple(chosen))
+    engine = engine_for(dynamics, built, use_compiler=use_compiler, quick=few_samples(dataset)).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
     priors, flight_priors = dict(priors or {}), dict(flight_priors or {})
