@@ -9,7 +9,7 @@ BIN = $(VENV)/bin
 STAMP = $(VENV)/.installed
 # Training a GP needs PyTorch. Its CPU build is small, but there for Python 3.11 only; elsewhere pip would fetch CUDA, and
 # the tests that train are skipped.
-EXTRAS := $(shell $(PYTHON) -c 'import sys; print("test,dev,gp" if sys.version_info < (3, 12) else "test,dev")')
+EXTRAS := $(shell $(PYTHON) -c 'import sys; print("test,dev,logs" + (",gp" if sys.version_info < (3, 12) else ""))')
 # CONSUMERS=1 also installs do-mpc, rockit and FMPy, with which exports are tried; without them those tests are skipped.
 CONSUMERS ?=
 override EXTRAS := $(EXTRAS)$(if $(CONSUMERS),$(COMMA)consumers)

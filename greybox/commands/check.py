@@ -13,8 +13,11 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         description="Look for faults of clock, units, frames, motor order and alignment. "
         "Exit code 0: nothing blocks a fit; 1: a fault does; 2: bad input.",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight log (.csv or .csv.gz)")
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="flight log of any format (docs/logs.md)")
     parser.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    parser.add_argument(
+        "--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)"
+    )
     parser.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
     parser.set_defaults(run=run)
 
@@ -25,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.files import dump_json, write_json
     from greybox.model.vehicle import read_vehicle
 
-    report = check_logs(arguments.logs, read_vehicle(arguments.vehicle))
+    report = check_logs(arguments.logs, read_vehicle(arguments.vehicle), mapping=arguments.mapping)
     if arguments.json == "-":
         print(dump_json(report.to_dict()), end="")
     else:

@@ -24,6 +24,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
     p.add_argument("--test", required=True, nargs="+", metavar="LOG", help="flights that only the judgement sees")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument(
         "--adapt", type=float, default=None, metavar="S", help="fit what belongs to a flight on its first S seconds"
     )
@@ -63,8 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.budget < 1:
         raise GreyboxError("--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4")
     vehicle = read_vehicle(arguments.vehicle)
-    train = read_logs(arguments.train, vehicle, rate=arguments.rate)
-    test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train))
+    train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
+    test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train), mapping=arguments.mapping)
     both = sorted(set(train.names) & set(test.names))
     if both:
         raise GreyboxError(

@@ -23,6 +23,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights on which only the gap is judged")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
     p.add_argument("--max-effects", type=int, default=8, metavar="N", help="stop after N additions (default 8)")
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
@@ -86,12 +87,14 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
 
     # The files show faults of their clocks, which reading mends.
-    faults = check_logs([*arguments.train, *arguments.test], vehicle)
+    faults = check_logs([*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping)
     if faults.ok:
-        train = read_logs(arguments.train, vehicle, rate=arguments.rate)
+        train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
         test = Dataset(flights=())
         if arguments.test:
-            test = read_logs(arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train))
+            test = read_logs(
+                arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train), mapping=arguments.mapping
+            )
         try:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,

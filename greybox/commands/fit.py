@@ -43,6 +43,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     model_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
@@ -137,15 +138,19 @@ def run(arguments: argparse.Namespace) -> int:
     say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
     horizons = _horizons(arguments.horizons)
     vehicle = read_vehicle(arguments.vehicle)
-    train = read_logs(arguments.train, vehicle, rate=arguments.rate)
-    test = read_logs(arguments.test, vehicle, rate=arguments.rate) if arguments.test else Dataset(flights=())
+    train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
+    test = (
+        read_logs(arguments.test, vehicle, rate=arguments.rate, mapping=arguments.mapping)
+        if arguments.test
+        else Dataset(flights=())
+    )
     both = sorted(set(train.names) & set(test.names))
     if both:
         raise GreyboxError(
             f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
         )
     if test.flights and abs(sample_time(test) - sample_time(train)) > 1e-6 * sample_time(train):
-        test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train))
+        test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train), mapping=arguments.mapping)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     faults = check(train + test, vehicle)

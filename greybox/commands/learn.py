@@ -21,6 +21,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
@@ -69,8 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
     rate = 1.0 / model.sample_time
-    train = read_logs(arguments.train, model.physics.vehicle, rate=rate)
-    test = read_logs(arguments.test, model.physics.vehicle, rate=rate) if arguments.test else Dataset(flights=())
+    train = read_logs(arguments.train, model.physics.vehicle, rate=rate, mapping=arguments.mapping)
+    test = (
+        read_logs(arguments.test, model.physics.vehicle, rate=rate, mapping=arguments.mapping)
+        if arguments.test
+        else Dataset(flights=())
+    )
     both = sorted(set(train.names) & set(test.names))
     if both:
         raise GreyboxError(

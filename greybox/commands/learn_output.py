@@ -39,8 +39,12 @@ def run_output(arguments: argparse.Namespace) -> int:
     models, inputs, outputs, trained_on = read_linear(arguments.model, channels=arguments.channels)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     rate = 1.0 / models[0].dt
-    train = _flights(arguments.train, inputs, outputs, vehicle, rate)
-    test = _flights(arguments.test, inputs, outputs, vehicle, rate) if arguments.test else Dataset(flights=())
+    train = _flights(arguments.train, inputs, outputs, vehicle, rate, arguments.mapping)
+    test = (
+        _flights(arguments.test, inputs, outputs, vehicle, rate, arguments.mapping)
+        if arguments.test
+        else Dataset(flights=())
+    )
     both = sorted(set(train.names) & set(test.names))
     if both:
         raise GreyboxError(
@@ -102,13 +106,13 @@ def run_output(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float) -> Any:
+def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float, mapping: Any) -> Any:
     """The logs as flights that hold every output under its name."""
     from greybox.data import Dataset
     from greybox.estimation.linear.logs import read_records
 
     flights = []
-    for flight in read_records(paths, inputs, outputs, vehicle, rate=rate).flights:
+    for flight in read_records(paths, inputs, outputs, vehicle, rate=rate, mapping=mapping).flights:
         segments = tuple(
             s.replace({o.name: sum(w * s.column(c) for w, c in o.terms) for o in outputs}) for s in flight.segments
         )

@@ -21,6 +21,7 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="logs to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="logs that only the validation sees")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--inputs", required=True, metavar="u1,u2", help="input channels, comma separated")
     p.add_argument("--outputs", required=True, metavar="p,q,r", help="output channels, comma separated")
     p.add_argument("--order", default="auto", metavar="N|auto", help="number of states (default: auto)")
@@ -72,8 +73,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.max_order < 1:
         raise DataError(f"--max-order {arguments.max_order}", expected="at least 1")
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
-    train = read_records(arguments.train, inputs, outputs, vehicle, rate=arguments.rate, bridge=0)
-    test = read_records(arguments.test, inputs, outputs, vehicle, rate=arguments.rate) if arguments.test else None
+    train = read_records(
+        arguments.train, inputs, outputs, vehicle, rate=arguments.rate, bridge=0, mapping=arguments.mapping
+    )
+    test = (
+        read_records(arguments.test, inputs, outputs, vehicle, rate=arguments.rate, mapping=arguments.mapping)
+        if arguments.test
+        else None
+    )
     if test is not None:
         if abs(test.dt - train.dt) > 1e-6 * train.dt:
             raise DataError(f"test logs have sample time {test.dt:g} s", expected=f"{train.dt:g} s", fix="--rate")

@@ -14,6 +14,7 @@ def add(commands: Any) -> None:
     p = commands.add_parser("validate", help="judge a model on flights that it never saw")
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
     p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument(
         "--horizons", default="1,10,50", metavar="H,...", help="steps ahead, in samples (default %(default)s)"
     )
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_model(arguments.model, effects=own)
     dataset = read_logs(
         arguments.log, model.physics.vehicle, rate=arguments.rate or 1.0 / model.sample_time,
-        trim=not arguments.keep_ground,
+        trim=not arguments.keep_ground, mapping=arguments.mapping,
     )  # fmt: skip
     result = validate(
         model, dataset, horizons=horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,

@@ -33,6 +33,7 @@ from greybox.data.checks.view import View
 from greybox.data.dataset import Dataset, Flight
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog
+from greybox.data.readers import LogMapping
 from greybox.errors import DataError
 
 __all__ = ["CHECKS", "Check", "CheckReport", "Finding", "FlightSummary", "Severity", "Unjudged", "check", "check_logs"]
@@ -100,9 +101,14 @@ def _without_consequences(findings: list[Finding], unjudged: list[Unjudged]) -> 
     return kept, unjudged + [Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)]
 
 
-def check_logs(paths: Iterable[str | os.PathLike[str]], vehicle: Airframe) -> CheckReport:
+def check_logs(
+    paths: Iterable[str | os.PathLike[str]],
+    vehicle: Airframe,
+    *,
+    mapping: str | os.PathLike[str] | LogMapping | None = None,
+) -> CheckReport:
     """Read logs and look for data faults, those of the clock included. Raises what `read_table` raises."""
-    return check([read_table(p, vehicle) for p in paths], vehicle)
+    return check([read_table(p, vehicle, mapping=mapping) for p in paths], vehicle)
 
 
 def _as_raw(flight: Flight) -> RawLog:

@@ -1,44 +1,34 @@
-"""Log formats: one reader per file, and the calls that turn a file into a conditioned flight."""
+"""Log formats: the calls that turn a file of any format into a conditioned flight.
+
+Files are read in greybox.data.readers, one file per format; units and frames of the contract are made there and in
+`canonical`.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 from greybox.data.airframe import Airframe
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Dataset, Flight
 from greybox.data.logs.canonical import to_channels
-from greybox.data.logs.csv import read_csv
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
+from greybox.data.readers import LogMapping, read_columns, read_mapping
 
-__all__ = ["READERS", "LogFormat", "RawLog", "Table", "read_log", "read_logs", "read_table"]
+__all__ = ["RawLog", "Table", "read_log", "read_logs", "read_table"]
 
 Path = str | os.PathLike[str]
 
 
-@dataclass(frozen=True, kw_only=True)
-class LogFormat:
-    """One log format: the endings of its files and its reader. A file with another ending is read as CSV."""
+def read_table(path: Path, vehicle: Airframe | None = None, *, mapping: Path | LogMapping | None = None) -> RawLog:
+    """Read a log of any format into canonical channels on its own clock, which is not judged here.
 
-    name: str
-    endings: tuple[str, ...]
-    read: Callable[[Path], Table]
-
-
-READERS = (LogFormat(name="csv", endings=(".csv", ".csv.gz"), read=read_csv),)
-
-
-def read_table(path: Path, vehicle: Airframe | None = None) -> RawLog:
-    """Read a log into canonical channels on its own clock, which is not judged here.
-
-    Raises `DataError` or `UnknownNameError` where the file is not a log of this vehicle.
+    `mapping` is a mapping file (schema "greybox.mapping/1") that says which fields are which channels, for logs whose
+    names greybox does not know. Raises `DataError` or `UnknownNameError` where the file is not a log of this vehicle.
     """
-    where = os.fspath(path)
-    form = next((f for f in READERS if where.lower().endswith(f.endings)), READERS[0])
-    return to_channels(form.read(path), vehicle, where=where)
+    return to_channels(read_columns(path, mapping), vehicle, where=os.fspath(path))
 
 
 def read_log(
@@ -48,15 +38,17 @@ def read_log(
     rate: float | None = None,
     trim: bool = True,
     max_gap: float = MAX_GAP,
+    mapping: Path | LogMapping | None = None,
 ) -> Flight:
-    """Read one log and condition it: uniform clock, gaps as missing cells or segment breaks, airborne part only.
+    """Read one log of any format and condition it: uniform clock, gaps as missing cells or breaks, airborne part only.
 
     `rate` [Hz] resamples to that rate (None: the log's own); `trim=False` keeps take-off and landing; `max_gap` [s] is
     the longest stretch without samples inside a segment. The flight's `notes` say what was done. The flight is named
     after the file. Without a vehicle only the column `t` is demanded. Raises `DataError`, also where time goes back or
     stands still, and `UnknownNameError` for a column that the vehicle names and the log has not.
     """
-    return condition(read_table(path, vehicle), vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
+    raw = read_table(path, vehicle, mapping=mapping)
+    return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
 
 
 def read_logs(
@@ -66,6 +58,11 @@ def read_logs(
     rate: float | None = None,
     trim: bool = True,
     max_gap: float = MAX_GAP,
+    mapping: Path | LogMapping | None = None,
 ) -> Dataset:
     """Read several logs of one vehicle (see `read_log`) into a data set. Raises `DataError` for equal file names."""
-    return Dataset(flights=tuple(read_log(p, vehicle, rate=rate, trim=trim, max_gap=max_gap) for p in paths))
+    if mapping is not None and not isinstance(mapping, LogMapping):
+        mapping = read_mapping(mapping)
+    return Dataset(
+        flights=tuple(read_log(p, vehicle, rate=rate, trim=trim, max_gap=max_gap, mapping=mapping) for p in paths)
+    )

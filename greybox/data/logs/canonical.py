@@ -22,10 +22,10 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
     """
     if table.rows.size < 2:
         raise DataError(f"{table.rows.size} row", where=where, expected="at least 2", fix="export the whole log")
-    specs: dict[str, ColumnSpec] = {} if vehicle is None else dict(vehicle.columns)
+    specs: dict[str, ColumnSpec] = {} if vehicle is None or table.canonical else dict(vehicle.columns)
     used = {spec.name for spec in specs.values()}
     wanted = _wanted(table, vehicle)
-    notes: list[str] = []
+    notes: list[str] = list(table.notes)
     channels: dict[str, FloatArray] = {}
     empty: list[str] = []
     needed = {TIME} | (set() if vehicle is None else set(group_names("command", len(vehicle.rotors))))
@@ -72,7 +72,7 @@ def to_channels(table: Table, vehicle: Airframe | None, *, where: str) -> RawLog
         flight=flight_name(table.source),
         source=table.source,
         sha256=table.sha256,
-        noncausal=frozenset(n for n in channels if n in specs and not specs[n].causal),
+        noncausal=table.noncausal | frozenset(n for n in channels if n in specs and not specs[n].causal),
         empty=tuple(empty),
         notes=tuple(notes),
     )
@@ -93,7 +93,9 @@ def _absent(name: str, spec: ColumnSpec, table: Table, where: str) -> UnknownNam
             f"no column '{name}' for {what}",
             where=where,
             got=f"columns {known}",
-            fix=f"log it, or say in [columns] of the vehicle file which column is {name}",
+            fix="`greybox inspect` says what the log lacks and how to log it; a mapping file can name it"
+            if table.canonical
+            else f"log it, or say in [columns] of the vehicle file which column is {name}",
         )
     return UnknownNameError("column", spec.name, table.columns, where=f"{where}: {what}")
 

@@ -15,13 +15,17 @@ import numpy.typing as npt
 class Table:
     """Columns of one file under their own names: float64 (NaN = empty cell), or text where a cell is not a number.
 
-    `rows` (N,) are the line numbers in the file, for messages.
+    `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels, units and frames of
+    the contract already, so that a vehicle's `[columns]` do not apply; `noncausal` and `notes` are then the reader's.
     """
 
     columns: Mapping[str, npt.NDArray[Any]]
     rows: npt.NDArray[np.int64]
     source: str
     sha256: str
+    canonical: bool = False
+    noncausal: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
 
 
 def flight_name(path: str | Path) -> str:

@@ -19,6 +19,7 @@ from greybox.data.conditioning import condition
 from greybox.data.dataset import Flight
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog
+from greybox.data.readers import LogMapping
 from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.linear.records import Record, split_at_missing
 from greybox.symbolic import FloatArray, Signal
@@ -91,6 +92,7 @@ def read_records(
     trim: bool | None = None,
     hold: int = 5,
     bridge: int = 50,
+    mapping: str | os.PathLike[str] | LogMapping | None = None,
 ) -> Logs:
     """Read logs into records. With a vehicle file its `[columns]` apply and the airborne part is kept (`trim`).
 
@@ -103,7 +105,7 @@ def read_records(
     flights, notes = [], []
     dt = None
     for path in paths:
-        raw = _with_columns(read_table(path, vehicle), inputs, outputs, os.fspath(path))
+        raw = _with_columns(read_table(path, vehicle, mapping=mapping), inputs, outputs, os.fspath(path))
         cut = vehicle is not None if trim is None else trim
         flight = condition(raw, vehicle, rate=rate, trim=cut, where=os.fspath(path))
         if dt is None:

@@ -1,0 +1,97 @@
+"""Readers of logs as they come: one file per format, each with one `FORMAT`; a new format is one file and one line here.
+
+A format is recognised by the first bytes of the file, then by its ending; everything else is read as CSV. Libraries of
+a format are imported when a file of it is read (`pip install 'greybox[logs]'`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from greybox.data.logs.table import Table
+from greybox.data.readers import betaflight, crazyflie, csv_table, matlab, parquet, ros, ulog
+from greybox.data.readers.assemble import assemble, choose, clock_of, describe, stream_of_table
+from greybox.data.readers.mapping import LogMapping, read_mapping
+from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file
+from greybox.errors import DataError
+
+__all__ = [
+    "FORMATS",
+    "LogFormat",
+    "LogMapping",
+    "Recording",
+    "Source",
+    "Stream",
+    "assemble",
+    "choose",
+    "clock_of",
+    "describe",
+    "format_of",
+    "read_columns",
+    "read_mapping",
+    "read_recording",
+]
+
+FORMATS: tuple[LogFormat, ...] = (
+    ulog.FORMAT,
+    ros.FORMAT,
+    betaflight.FORMAT,
+    crazyflie.FORMAT,
+    matlab.FORMAT,
+    parquet.FORMAT,
+    csv_table.FORMAT,
+)
+"""All formats, in the order in which they are asked; the last takes what is left."""
+
+
+def format_of(path: str | os.PathLike[str]) -> LogFormat:
+    """The format of a log, by its first bytes, then by its ending. Raises `DataError` where there is no such file."""
+    where = Path(path)
+    head = b""
+    if not where.is_dir():
+        try:
+            with where.open("rb") as stream:
+                head = stream.read(512)
+        except FileNotFoundError:
+            raise DataError("no such log", where=str(path), fix="check the path") from None
+        except OSError as error:
+            raise DataError(
+                f"cannot read: {error.strerror or error}", where=str(path), fix="check the permissions"
+            ) from None
+    for one in FORMATS:
+        if one.recognise(where, head):
+            return one
+    name = where.name.lower()
+    return next((f for f in FORMATS if name.endswith(f.endings)), FORMATS[-1])
+
+
+def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = None) -> Recording:
+    """What a log of any format holds. Raises `DataError` for a file that cannot be read."""
+    one = format_of(path)
+    where = os.fspath(path)
+    if one.recording is not None:
+        checked_file(Path(path))
+        return one.recording(Path(path))
+    assert one.table is not None
+    table: Table = one.table(path)
+    found = stream_of_table(table, mapping or LogMapping(), where=where)
+    return Recording(
+        format=one.name, source=found.source, sha256=found.sha256, streams=found.streams, sources=found.sources
+    )
+
+
+def read_columns(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | LogMapping | None = None) -> Table:
+    """A log of any format as one table. Logs that are a table keep their own columns where no mapping is given.
+
+    All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical channels. Raises
+    `DataError` and `UnknownNameError`.
+    """
+    if mapping is not None and not isinstance(mapping, LogMapping):
+        mapping = read_mapping(mapping)
+    one = format_of(path)
+    if one.table is not None and mapping is None:
+        read: Callable[..., Table] = one.table
+        return read(path)
+    return assemble(read_recording(path, mapping), mapping)

@@ -1,0 +1,374 @@
+"""From a recording to one table of canonical channels: which source, its units and frames, and one clock for all.
+
+Rows are the samples of one stream (by default that of the body rate). Measurements of about its rate are interpolated
+linearly, faster ones averaged around the row, slower ones stand only in the row next to each sample, moved along the
+line through their neighbours. A command is the mean of what was held until the next row. Nothing is carried over a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
+from greybox.data.logs.table import Table
+from greybox.data.raw import FloatArray
+from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
+from greybox.data.readers.recording import UNITS, Recording, Source, Stream
+from greybox.data.resampling import continuous_signs
+from greybox.errors import DataError, UnknownNameError
+
+CLOCKS = ("rate", "specific_force", "attitude", "command", "position", "velocity", "rotor_speed", "battery")
+"""Groups whose stream gives the rows, the first that is there."""
+
+FAST_ENOUGH = 100.0
+"""A source of at least this rate [Hz] is not passed over for a faster one that is liked less."""
+
+BY_RATE = ("command", "rate", "specific_force")
+"""Groups whose sources compete by rate. Poses and velocities do not: those of another origin have another world frame."""
+
+SLOW = 2.0
+"""A stream whose step is longer than this many rows is not interpolated: its samples stand in single rows."""
+
+FAST = 1.5
+"""Rows this many times longer than a stream's step average it."""
+
+STRETCH = 2.5
+"""Nothing is interpolated over a step longer than this many median steps of its stream."""
+
+COMMAND_AGE = 0.1
+"""A command is held for at most this time [s], or five of its steps where that is longer."""
+
+_TIMES = ("t", "time", "timestamp", "time_s", "t_s", "time_ms", "time_us", "time_ns", "timestamp_us", "timestamp_ns")
+
+
+def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
+    """A log that is one table, as a recording of one stream. Raises `DataError` where no column is the time."""
+    numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
+    name = mapping.time_field or next((k for k in numbers if k.lower() in _TIMES), None)
+    if name is None or name not in numbers:
+        if name is not None and name not in table.columns:
+            raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
+        raise DataError("no numeric time column", where=where, fix='name it in the mapping file: [time] field = "..."')
+    by_name = next((u for u in ("ms", "us", "ns") if name.lower().endswith("_" + u)), "s")
+    unit = mapping.time_unit or by_name
+    text = tuple(k for k in table.columns if k not in numbers)
+    stream = Stream(
+        name=TABLE, t=numbers[name] * TIME_UNITS[unit], fields=numbers, clock=f"column {name} [{unit}]", unread=text
+    )
+    sources = []
+    rotors = max((rotor_index(k) or 0 for k in numbers), default=0)
+    for group in GROUPS:
+        names = group_names(group, rotors)
+        if names and all(k in numbers for k in names):
+            sources.append(Source(group=group, stream=TABLE, fields=names))
+    return Recording(
+        format="table", source=table.source, sha256=table.sha256, streams={TABLE: stream}, sources=tuple(sources)
+    )
+
+
+def usable(recording: Recording, source: Source) -> bool:
+    """Whether the recording holds the source: its stream has samples, and all its fields some value."""
+    stream = recording.streams.get(source.stream)
+    if stream is None or stream.n < 2:
+        return False
+    columns = [stream.fields.get(f.lstrip("-")) for f in source.fields]
+    return all(c is not None and bool(np.isfinite(c).any()) for c in columns)
+
+
+def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str, Source]:
+    """The source of every group that the log has. The mapping decides; else the first good one whose rate will do.
+
+    Raises `UnknownNameError` for a stream or field of the mapping that the log has not, `DataError` for one without
+    values.
+    """
+    mapping = mapping or LogMapping()
+    out: dict[str, Source] = {}
+    for group in GROUPS:
+        if group in mapping.unused:
+            continue
+        if group in mapping.sources:
+            out[group] = _demanded(recording, mapping.sources[group], mapping.where)
+            continue
+        good = [s for s in recording.sources if s.group == group and usable(recording, s)]
+        if group in mapping.preferred:
+            wanted = mapping.preferred[group]
+            good = [s for s in good if s.stream == wanted]
+            if not good:
+                known = sorted({s.stream for s in recording.sources if s.group == group and usable(recording, s)})
+                raise UnknownNameError("stream", wanted, known, where=f"{mapping.where}: {group}")
+        if good:
+            rates = [recording.streams[s.stream].rate for s in good]
+            enough = min(FAST_ENOUGH, 0.9 * max(rates)) if group in BY_RATE else 0.0
+            out[group] = next(s for s, rate in zip(good, rates, strict=True) if rate >= enough)
+    return out
+
+
+def _demanded(recording: Recording, source: Source, where: str) -> Source:
+    place = f"{where}: {source.group}"
+    if source.stream not in recording.streams:
+        raise UnknownNameError("stream", source.stream, recording.streams, where=place)
+    stream = recording.streams[source.stream]
+    for name in source.fields:
+        if name.lstrip("-") not in stream.fields:
+            if name.lstrip("-") in stream.unread:
+                raise DataError(f"field '{name}' of {stream.name} holds no numbers", where=place)
+            raise UnknownNameError("field", name.lstrip("-"), stream.fields, where=f"{place}, stream {stream.name}")
+    if not usable(recording, source):
+        raise DataError(f"stream {stream.name} holds no values there", where=place, fix="name another stream")
+    return source
+
+
+def clock_of(recording: Recording, chosen: Mapping[str, Source], mapping: LogMapping | None = None) -> Source:
+    """The source whose stream gives the rows. Raises `DataError` where no channel is known, `UnknownNameError`."""
+    named = mapping.clock if mapping else None
+    if named is not None:
+        if named not in recording.streams:
+            raise UnknownNameError(
+                "stream", named, recording.streams, where=f"{mapping.where if mapping else ''}: clock"
+            )
+        own = next((s for s in chosen.values() if s.stream == named), None)
+        return own or Source(group="", stream=named, fields=())
+    for group in CLOCKS:
+        if group in chosen:
+            return chosen[group]
+    raise DataError(
+        "nothing in it that greybox can name",
+        where=recording.source,
+        got=", ".join(list(recording.streams)[:8]) or "no stream with samples",
+        fix="write a mapping file (docs/logs.md) and pass --mapping",
+    )
+
+
+def assemble(recording: Recording, mapping: LogMapping | None = None) -> Table:
+    """One table of canonical channels. Raises `DataError` and `UnknownNameError` (see `choose`, `clock_of`)."""
+    chosen = choose(recording, mapping)
+    clock = clock_of(recording, chosen, mapping)
+    base = recording.streams[clock.stream]
+    if base.n < 2:
+        raise DataError(f"stream {base.name} has {base.n} samples", where=recording.source, expected="at least 2")
+    rows = base.t - clock.delay
+    zero = float(rows[np.isfinite(rows)][0]) if np.isfinite(rows).any() else 0.0
+    columns: dict[str, npt.NDArray[Any]] = {"t": rows - zero}
+    notes = [*recording.notes]
+    if abs(zero) > 1e-9:
+        notes.append(f"t = 0 is {zero:.6f} s on the clock of the log ({base.clock or base.name})")
+    attitude: tuple[FloatArray, FloatArray] | None = None
+    noncausal: set[str] = set()
+    ordered = sorted(chosen, key=lambda g: g != "attitude")
+    for group in ordered:
+        source = chosen[group]
+        stream = recording.streams[source.stream]
+        t, values = samples(stream, source)
+        if group == "attitude":
+            attitude = (t, values)
+        if group == "velocity" and source.frame in ("FLU", "FRD"):
+            if attitude is None:
+                notes.append("velocity in body axes left out: there is no attitude to turn it")
+                continue
+            values = _rotations("rotate", _unit(at_rows(attitude[0], attitude[1], t, stream.step)), values)
+        direct = source.stream == clock.stream and source.delay == clock.delay and t.size == rows.size
+        if direct and np.array_equal(t, rows):
+            placed = values
+        elif group == "command":
+            placed = commands_at(t, values, rows, base.step, stream.step)
+        else:
+            placed = at_rows(t, values, rows, base.step, step=stream.step)
+            if group == "attitude":
+                placed = _unit(placed)
+        names = group_names(group, values.shape[1])
+        columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
+        if not source.causal:
+            noncausal.update(names)
+        notes.append(describe(source, stream))
+        if group == "command" and stream.rate < 0.6 * base.rate and stream.rate < 90:
+            notes.append(
+                f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of them is not known, "
+                "and the fit will be poor (`greybox inspect` says what to set)"
+            )
+    for start, length in recording.dropouts[:5]:
+        notes.append(f"the logger lost data for {1e3 * length:.0f} ms at t = {start - zero:.3f} s")
+    if len(recording.dropouts) > 5:
+        notes.append(f"... and {len(recording.dropouts) - 5} more drop-outs")
+    return Table(
+        columns={n: columns[n] for n in columns if n == "t" or is_canonical(n)},
+        rows=np.arange(1, rows.size + 1, dtype=np.int64),
+        source=recording.source,
+        sha256=recording.sha256,
+        canonical=True,
+        noncausal=frozenset(noncausal),
+        notes=tuple(notes),
+    )
+
+
+def describe(source: Source, stream: Stream) -> str:
+    """One line: which channels come from where, in which unit and frame, and how often."""
+    names = group_names(source.group, len(source.fields))
+    shown = f"{names[0]}..{names[-1]}" if len(names) > 3 else ", ".join(names)
+    fields = ", ".join(source.fields[:4]) + (", ..." if len(source.fields) > 4 else "")
+    how = [f"{stream.rate:.4g} Hz"]
+    how += [source.unit] if source.unit not in ("", "1") else []
+    how += [source.frame] if source.frame else []
+    how += [f"{source.limits[0]:g}..{source.limits[1]:g}"] if source.limits else []
+    how += [f"{1e3 * source.delay:.3g} ms earlier than its stamps"] if source.delay else []
+    how += [source.note] if source.note else []
+    return f"{shown}: {stream.name} [{fields}] ({', '.join(how)})"
+
+
+def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
+    """`greybox.frames.numeric`, loaded on first use: it brings CasADi."""
+    from greybox.frames import numeric
+
+    return numeric(name, *arrays)
+
+
+def samples(stream: Stream, source: Source) -> tuple[FloatArray, FloatArray]:
+    """(t (N,), values (N, K)) of a source in our units and frames, at increasing times; velocity may be in body axes."""
+    columns = []
+    for name in source.fields:
+        values = stream.fields[name.lstrip("-")]
+        columns.append(-values if name.startswith("-") else values)
+    matrix: FloatArray = np.column_stack(columns).astype(np.float64)
+    matrix[~np.isfinite(matrix)] = np.nan
+    if source.convert is not None:
+        matrix = source.convert(matrix)
+    factor = UNITS.get(source.group, {}).get(source.unit, 1.0) * source.scale
+    if factor != 1.0:
+        matrix = matrix * factor
+    if source.limits is not None:
+        low, high = source.limits
+        matrix = (matrix - low) / (high - low)
+    matrix = _our_frame(matrix, source)
+    if source.group == "attitude":
+        matrix = _unit(matrix)
+    t = stream.t - source.delay
+    good = np.isfinite(t)
+    if good.all() and bool((np.diff(t) > 0).all()):
+        return t, matrix
+    order = np.flatnonzero(good)[np.argsort(t[good], kind="stable")]
+    first = np.concatenate([[True], np.diff(t[order]) > 0])
+    return t[order][first], matrix[order][first]
+
+
+def _our_frame(values: FloatArray, source: Source) -> FloatArray:
+    """FRD and NED to FLU and ENU; Euler angles (roll, pitch, yaw) to a quaternion."""
+    if source.group == "attitude":
+        quaternion = _rotations("from_euler", values) if values.shape[1] == 3 else values
+        if source.frame != "FRD/NED":
+            return quaternion
+        # v_ENU = R(earth) v_NED and v_FRD = R(body) v_FLU are turns by pi about (1, 1, 0) and about x.
+        half = np.sqrt(0.5)
+        earth = np.tile([0.0, half, half, 0.0], (len(quaternion), 1))
+        body = np.tile([0.0, 1.0, 0.0, 0.0], (len(quaternion), 1))
+        return _rotations("multiply", _rotations("multiply", earth, quaternion), body)
+    if source.frame == "FRD":
+        return values * np.array([1.0, -1.0, -1.0])
+    if source.frame == "NED":
+        return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    return values
+
+
+def _unit(quaternions: FloatArray) -> FloatArray:
+    """Quaternions (N, 4) of unit length; NaN where the length is not within a tenth of one."""
+    norm = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(np.abs(norm - 1.0) < 0.1, quaternions / norm, np.nan)
+
+
+def at_rows(
+    t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float | None = None
+) -> FloatArray:
+    """Samples (N, K) at increasing `t` on the rows (M,), as the head of this file says; NaN where nothing is known."""
+    known = np.isfinite(values).all(axis=1)
+    t, values = t[known], values[known]
+    out = np.full((rows.size, values.shape[1]), np.nan)
+    if t.size == 0:
+        return out
+    if values.shape[1] == 4:
+        values, _ = continuous_signs(values)
+    if t.size == 1:
+        return _beside(t, values, rows, row_step, np.inf)
+    own = max(float(np.median(np.diff(t))), step if step is not None and np.isfinite(step) else 0.0)
+    if own > SLOW * row_step:
+        return _beside(t, values, rows, row_step, STRETCH * own)
+    i = np.clip(np.searchsorted(t, rows, side="right") - 1, 0, t.size - 2)
+    width = t[i + 1] - t[i]
+    weight = ((rows - t[i]) / width)[:, None]
+    good = (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
+    good &= (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
+    if row_step > FAST * own:
+        half = 0.5 * row_step
+        area = np.vstack(
+            [np.zeros(values.shape[1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0)]
+        )
+        end, start = np.clip(rows + half, t[0], t[-1]), np.clip(rows - half, t[0], t[-1])
+        length = end - start
+        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / np.where(length > 0, length, 1.0)[
+            :, None
+        ]
+        line = np.where((length > 0)[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1])
+    else:
+        line = (1 - weight) * values[i] + weight * values[i + 1]
+    out[good] = line[good]
+    return out
+
+
+def _area(t: FloatArray, values: FloatArray, area: FloatArray, at: FloatArray) -> FloatArray:
+    """Integral from t[0] to `at` of the piecewise linear signal, given its values at the samples."""
+    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    s = (at - t[i])[:, None]
+    slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i])[:, None]
+    return area[i] + values[i] * s + 0.5 * slope * s**2
+
+
+def _beside(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, reach: float) -> FloatArray:
+    """A slow stream: each sample in the row next to it, at the row's time on the line through its neighbours."""
+    out = np.full((rows.size, values.shape[1]), np.nan)
+    order = np.argsort(rows, kind="stable")
+    sorted_rows = rows[order]
+    right = np.clip(np.searchsorted(sorted_rows, t), 1, rows.size - 1)
+    nearer = np.abs(sorted_rows[right - 1] - t) <= np.abs(sorted_rows[right] - t)
+    row = order[np.where(nearer, right - 1, right)]
+    away = rows[row] - t
+    keep = np.abs(away) <= 0.75 * row_step
+    j = np.arange(t.size)
+    other = np.clip(np.where(away >= 0, j + 1, j - 1), 0, t.size - 1)
+    span = t[other] - t
+    near = (span != 0) & (np.abs(span) <= reach)
+    share = np.where(near, away / np.where(near, span, 1.0), 0.0)[:, None]
+    moved = values + share * (values[other] - values)
+    out[row[keep]] = moved[keep]
+    return out
+
+
+def commands_at(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float) -> FloatArray:
+    """Mean over each row's step (to the next row) of commands (N, K) that are held from their stamps on; NaN before
+    the first and where the last one is too old.
+    """
+    known = np.isfinite(values).all(axis=1)
+    t, values = t[known], values[known]
+    out = np.full((rows.size, values.shape[1]), np.nan)
+    if t.size == 0:
+        return out
+    following = np.concatenate([rows[1:], [rows[-1] + row_step]])
+    end = np.where(following > rows, np.minimum(following, rows + 1.5 * row_step), rows + row_step)
+    area = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
+
+    def up_to(at: FloatArray) -> FloatArray:
+        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)
+        return area[i] + values[i] * (at - t[i])[:, None]
+
+    i = np.searchsorted(t, rows, side="right") - 1
+    begin = np.maximum(rows, t[0])
+    mean = (up_to(end) - up_to(begin)) / np.maximum(end - begin, 1e-12)[:, None]
+    last = np.searchsorted(t, end, side="left") - 1
+    age = end - t[np.clip(last, 0, t.size - 1)]
+    good = (end - begin >= 0.5 * (end - rows)) & (last >= 0) & (age <= max(COMMAND_AGE, 5 * step) + row_step)
+    # A row whose step holds one command takes it exactly, not as a quotient.
+    single = good & (i >= 0) & (i == last)
+    out[good] = mean[good]
+    out[single] = values[i[single]]
+    return out

@@ -1,0 +1,182 @@
+"""Betaflight (and Cleanflight) blackbox files by orangebox.
+
+The flight controller's axes are forward, left, up, with the yaw rate counter-clockwise. Fields: time [us],
+gyroADC [deg/s] (header gyro_scale: rad/us or deg/s per count in old logs), accSmooth [1 g = header acc_1G], motor[i]
+(header motorOutput: range), eRPM[i] [100 electrical rpm; header motor_poles], vbatLatest [0.01 V since Betaflight 4.0].
+Motors are numbered as on the flight controller: 1 rear right, 2 front right, 3 rear left, 4 front left on a quad X.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file, damaged, library
+from greybox.errors import DataError
+
+_MAGIC = b"H Product:Blackbox"
+LONGEST = 200_000_000
+"""Files of more bytes than this are refused: a flash chip or a card holds no such log of one craft."""
+
+
+def read_betaflight(path: Path) -> Recording:
+    """Read a blackbox file; of several flights in it the longest. Raises `DataError`."""
+    where = str(path)
+    digest = checked_file(path)
+    if path.stat().st_size > LONGEST:
+        raise DataError("a file of more than 200 MB", where=where, fix="cut it into its flights (bbsplit of orangebox)")
+    box = library("orangebox", where=where, what="a blackbox file")
+    best: tuple[list[Any], Any, int] | None = None
+    with damaged(where, "a blackbox file"):
+        count = box.Reader(where, allow_invalid_header=True).log_count
+        for index in range(1, min(count, 64) + 1):
+            try:
+                parser = box.Parser.load(where, index, allow_invalid_header=True)
+                rows = [frame.data for frame in parser.frames() if frame.type.value in "IP"]
+            except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError):
+                if count == 1:
+                    raise
+                continue
+            if best is None or len(rows) > len(best[0]):
+                best = (rows, parser, index)
+        if best is None or len(best[0]) < 2:
+            raise DataError("no frames in it", where=where, fix="copy the log again; log from arming to disarming")
+        rows, parser, index = best
+        names = list(parser.field_names)
+        table = _numbers(rows, len(names))
+        headers: Mapping[str, Any] = parser.headers
+        lost = int(getattr(parser, "_ctx").stats["invalid"]) if hasattr(parser, "_ctx") else 0  # noqa: B009
+    fields = {n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
+    if "time" not in fields:
+        raise DataError("no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again")
+    stream = Stream(name="main", t=fields["time"] * 1e-6, fields=fields, kind="I and P frames", clock="microseconds")
+    notes = [f"flight {index} of the {count} in the file (the longest)"] if count > 1 else []
+    if lost:
+        notes.append(f"{lost} damaged frames were passed over")
+    sources, said = _sources(fields, headers)
+    return Recording(
+        format="betaflight",
+        source=path.name,
+        sha256=digest,
+        streams={"main": stream},
+        sources=tuple(sources),
+        info=_info(headers),
+        notes=(*notes, *said),
+    )
+
+
+def _numbers(rows: list[Any], width: int) -> Any:
+    """Frames as a matrix (N, K) of the main fields (slow and GPS fields may follow in a row; a short row ends in NaN)."""
+    width = min(width, max(len(r) for r in rows))
+    table = np.full((len(rows), width), np.nan)
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row[:width]):
+            if isinstance(value, (int, float)):
+                table[i, j] = value
+    return table
+
+
+def _info(headers: Mapping[str, Any]) -> dict[str, str]:
+    shown = {
+        "Firmware revision": "firmware",
+        "Craft name": "craft",
+        "Board information": "board",
+        "looptime": "looptime",
+    }
+    shown |= {"debug_mode": "debug_mode", "P interval": "P interval", "blackbox_sample_rate": "blackbox_sample_rate"}
+    return {label: str(headers[key]) for key, label in shown.items() if headers.get(key) not in (None, "")}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _sources(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> tuple[list[Source], list[str]]:
+    return list(_found(fields, headers)), list(_warned(fields, headers))
+
+
+def _found(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[Source]:
+    motors = tuple(f"motor[{i}]" for i in range(8) if f"motor[{i}]" in fields)
+    limits = _limits(headers)
+    if motors and limits:
+        yield Source(group="command", stream="main", fields=motors, limits=limits)
+    for prefix, note in (("gyroADC", "low-pass filtered by the firmware"), ("gyroUnfilt", "")):
+        names = tuple(f"{prefix}[{i}]" for i in range(3))
+        yield Source(
+            group="rate", stream="main", fields=names, unit="deg/s", frame="FLU", scale=_gyro_scale(headers), note=note
+        )
+    one_g = _number(headers.get("acc_1G"))
+    if one_g:
+        names = tuple(f"accSmooth[{i}]" for i in range(3))
+        yield Source(group="specific_force", stream="main", fields=names, unit="g", frame="FLU", scale=1.0 / one_g)
+    if _major(headers) >= 4:
+        yield Source(group="battery", stream="main", fields=("vbatLatest",), unit="V", scale=0.01)
+    speeds = tuple(f"eRPM[{i}]" for i in range(8) if f"eRPM[{i}]" in fields)
+    poles = _number(headers.get("motor_poles"))
+    if speeds and poles:
+        yield Source(group="rotor_speed", stream="main", fields=speeds, unit="rpm", scale=200.0 / poles,
+                     note=f"{poles:g} poles")  # fmt: skip
+
+
+def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[str]:
+    if "motor[0]" in fields and not _limits(headers):
+        yield "the range of the motor outputs is not in the header; give [command] limits in a mapping file"
+    if "vbatLatest" in fields and _major(headers) < 4:
+        yield "vbatLatest has no fixed unit before Betaflight 4.0; give [battery] scale in a mapping file"
+    if "eRPM[0]" in fields and not _number(headers.get("motor_poles")):
+        yield "motor_poles is not in the header; give [rotor_speed] scale in a mapping file"
+
+
+def _limits(headers: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Range of the motor outputs: motorOutput (low, high), else minthrottle and maxthrottle."""
+    both = headers.get("motorOutput")
+    pair = (
+        both if isinstance(both, list) and len(both) == 2 else [headers.get("minthrottle"), headers.get("maxthrottle")]
+    )
+    low, high = _number(pair[0]), _number(pair[1])
+    return (low, high) if low is not None and high is not None and high > low else None
+
+
+def _gyro_scale(headers: Mapping[str, Any]) -> float:
+    """Degrees per second per count. The header holds a float's bits: 1.0 (already deg/s), or rad/us (Cleanflight)."""
+    raw = headers.get("gyro_scale", headers.get("gyro.scale"))
+    try:
+        bits = int(raw, 16) if isinstance(raw, str) else int(raw) if raw is not None else 0
+        value = float(np.array([bits], dtype=np.uint32).view(np.float32)[0])
+    except (ValueError, OverflowError, TypeError):
+        return 1.0
+    if not np.isfinite(value) or value <= 0.0 or value >= 0.5:
+        return 1.0
+    return float(np.rad2deg(value * 1e6)) if value < 1e-5 else value
+
+
+def _major(headers: Mapping[str, Any]) -> int:
+    """Major version of Betaflight; 0 for other firmware. Versions named by year (2025.12) count as newer than 4."""
+    match = re.match(r"Betaflight.*?(\d+)\.\d+", str(headers.get("Firmware revision", "")))
+    return int(match[1]) if match else 0
+
+
+FORMAT = LogFormat(
+    name="betaflight",
+    title="Betaflight blackbox",
+    endings=(".bfl", ".bbl"),
+    recognise=lambda path, head: head.startswith(_MAGIC),
+    recording=read_betaflight,
+    advice={
+        "": "set blackbox_sample_rate = 1/2 or 1/4 (1 kHz or more); blackbox_device = SDCARD or SPIFLASH",
+        "command": "set blackbox_disable_motors = OFF; motor[i] is after the mixer (leave vbat_sag_compensation as flown)",
+        "rotor_speed": "set dshot_bidir = ON and blackbox_disable_rpm = OFF, with the right motor_poles",
+        "battery": "set blackbox_disable_bat = OFF with a voltage sensor (battery_meter = ADC or ESC)",
+        "attitude": "Betaflight logs none by default; set blackbox_disable_attitude = OFF where the firmware has it, or log "
+        "motion capture beside it",
+        "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that debug_mode = GYRO_SCALED",
+        "specific_force": "set acc_hardware = AUTO and blackbox_disable_acc = OFF",
+        "position": "GPS alone is too coarse; log motion capture beside it and merge by a mapping file",
+        "velocity": "GPS alone is too coarse; log motion capture beside it",
+        "setpoint": "rate setpoints only: a position setpoint does not exist in Betaflight",
+    },
+)

@@ -1,0 +1,73 @@
+"""Apache Parquet files by pyarrow: one table of columns, as a CSV file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.logs.table import Table
+from greybox.data.readers.recording import LogFormat, checked_file, damaged, library
+from greybox.errors import DataError
+
+_MAGIC = b"PAR1"
+
+
+def read_parquet(path: str | os.PathLike[str]) -> Table:
+    """Read a Parquet file: numbers as float64 (null = missing), times in seconds, anything else as text.
+
+    Columns of lists become one column per entry where all rows have equally many. Raises `DataError`.
+    """
+    where = os.fspath(path)
+    digest = checked_file(Path(path))
+    library("pyarrow", where=where, what="a Parquet file")
+    parquet = library("pyarrow.parquet", where=where, what="a Parquet file")
+    with damaged(where, "a Parquet file"):
+        content = parquet.read_table(where, memory_map=False, use_threads=False)
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for name, column in zip(content.column_names, content.columns, strict=True):
+            columns.update(_column(str(name), column))
+        n = content.num_rows
+    if n == 0 or not columns:
+        raise DataError("a table without rows", where=where, fix="export the log again")
+    return Table(columns=columns, rows=np.arange(1, n + 1, dtype=np.int64), source=Path(path).name, sha256=digest)
+
+
+def _column(name: str, column: Any) -> dict[str, npt.NDArray[Any]]:
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        rows = column.to_pylist()
+        width = len(rows[0]) if rows and rows[0] is not None else 0
+        if 0 < width <= 16 and all(r is not None and len(r) == width for r in rows):
+            try:
+                matrix = np.array([[np.nan if v is None else v for v in r] for r in rows], dtype=np.float64)
+            except (TypeError, ValueError):
+                return {name: np.array([str(r) for r in rows], dtype=np.str_)}
+            return {f"{name}[{j}]": np.ascontiguousarray(matrix[:, j]) for j in range(width)}
+        return {name: np.array([str(r) for r in rows], dtype=np.str_)}
+    if pa.types.is_temporal(kind):
+        nanoseconds = np.array(column.to_numpy(), dtype="datetime64[ns]" if pa.types.is_timestamp(kind) else None)
+        if nanoseconds.dtype.kind == "M":
+            seconds = nanoseconds.astype(np.int64) * 1e-9
+            return {name: np.where(np.isnat(nanoseconds), np.nan, seconds)}
+        return {name: np.array([str(v) for v in column.to_pylist()], dtype=np.str_)}
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        values = column.to_pylist() if pa.types.is_boolean(kind) else column.cast(pa.float64(), safe=False).to_numpy()
+        return {name: np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+                if isinstance(values, list) else np.array(values, dtype=np.float64)}  # fmt: skip
+    return {name: np.array(["" if v is None else str(v) for v in column.to_pylist()], dtype=np.str_)}
+
+
+FORMAT = LogFormat(
+    name="parquet",
+    title="Apache Parquet",
+    endings=(".parquet", ".pq"),
+    recognise=lambda path, head: head.startswith(_MAGIC),
+    table=read_parquet,
+    advice={"": "columns have the names, units and frames of docs/files.md, or a mapping file says which they are"},
+)
