@@ -11,10 +11,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from greybox.data.logs.table import Table
-from greybox.data.readers import betaflight, crazyflie, csv_table, matlab, parquet, ros, ulog
 from greybox.data.readers.assemble import assemble, choose, clock_of, describe, stream_of_table
+from greybox.data.readers.betaflight import FORMAT as BETAFLIGHT
+from greybox.data.readers.crazyflie import FORMAT as CRAZYFLIE
+from greybox.data.readers.csv_table import FORMAT as CSV
 from greybox.data.readers.mapping import LogMapping, read_mapping
+from greybox.data.readers.matlab import FORMAT as MATLAB
+from greybox.data.readers.parquet import FORMAT as PARQUET
 from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file
+from greybox.data.readers.ros import FORMAT as ROS
+from greybox.data.readers.ulog import FORMAT as ULOG
 from greybox.errors import DataError
 
 __all__ = [
@@ -35,13 +41,13 @@ __all__ = [
 ]
 
 FORMATS: tuple[LogFormat, ...] = (
-    ulog.FORMAT,
-    ros.FORMAT,
-    betaflight.FORMAT,
-    crazyflie.FORMAT,
-    matlab.FORMAT,
-    parquet.FORMAT,
-    csv_table.FORMAT,
+    ULOG,
+    ROS,
+    BETAFLIGHT,
+    CRAZYFLIE,
+    MATLAB,
+    PARQUET,
+    CSV,
 )
 """All formats, in the order in which they are asked; the last takes what is left."""
 

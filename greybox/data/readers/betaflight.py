@@ -29,7 +29,8 @@ def read_betaflight(path: Path) -> Recording:
     digest = checked_file(path)
     if path.stat().st_size > LONGEST:
         raise DataError("a file of more than 200 MB", where=where, fix="cut it into its flights (bbsplit of orangebox)")
-    box = library("orangebox", where=where, what="a blackbox file")
+    library("orangebox", where=where, what="a blackbox file")
+    box = library("orangebox.parser", where=where, what="a blackbox file")
     best: tuple[list[Any], Any, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
