@@ -7,6 +7,7 @@ import pytest
 
 from mpc_export.functions import model_functions
 from mpc_export.tube.controller import TubeController
+from mpc_export.tube.correlation import correlation, error_transition
 from mpc_export.tube.problem import TubeProblem, Weights
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import _weights, stages
@@ -152,3 +153,37 @@ def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(sol
     wide, narrow = (spread(made, model, 60)[0][-1, at, at] for made in (solver.stages, stiff))
     assert narrow < 0.5 * wide
     np.testing.assert_array_equal(stiff.terminal, solver.stages.terminal)
+
+
+def test_stages_hang_together_as_in_an_ensemble(solver):
+    model, made, length = solver.model, solver.stages, 8
+    filter_ = model_functions(cases.disturbed(), with_=("filter",))
+    transition = error_transition(filter_, 1, len(made.estimate))
+    normal = np.zeros(len(made.estimate))
+    normal[model.error_states.names.index("d_position.x")] = 1.0
+    stated = correlation(model, made, transition, normal, length)
+    x, u = made.steady
+    _, a, b, _ = (v.full() for v in model["f_d_jac"](x, u, model.parameter_values))
+    _, c, _, _ = (v.full() for v in filter_["h_jac"](x, u, model.parameter_values))
+    closed, gain, n = a + b @ made.gain, model.noise.gain, 20_000
+    rng = np.random.default_rng(5)
+    # innovations first: the error that makes them is drawn with them, S = C P C' + (what else they hold)
+    p, s = made.estimate, model.noise.innovation
+    rest = np.linalg.cholesky(s - c @ p @ c.T + 1e-18 * np.eye(len(s)))
+    process = p - (a - gain @ c) @ p @ (a - gain @ c).T
+    values, vectors = np.linalg.eigh(process - gain @ rest @ rest.T @ gain.T)
+    own = vectors * np.sqrt(np.maximum(values, 0.0))
+    values, vectors = np.linalg.eigh(p)
+    e = rng.standard_normal((n, len(p))) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    h, bias = np.zeros_like(e), np.zeros_like(e)
+    theta = np.linalg.cholesky(model.covariance) @ rng.standard_normal((len(model.covariance), n))
+    slope = model["P_theta"](x, u, model.parameter_values).full()
+    seen = []
+    for stage in range(length + 1):
+        if stage:
+            seen.append((e + h + bias) @ normal)
+        v = rng.standard_normal((n, len(s))) @ rest.T
+        h = h @ closed.T + (e @ c.T + v) @ gain.T
+        e = e @ (a - gain @ c).T - v @ gain.T + rng.standard_normal((n, len(p))) @ own.T
+        bias = bias @ closed.T + (slope @ theta).T
+    np.testing.assert_allclose(stated, np.corrcoef(seen), atol=0.03)
