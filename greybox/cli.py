@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-COMMANDS = ("vehicle", "check", "fit", "validate", "linear", "learn", "discover", "compare", "export", "effects", "cite")
+COMMANDS = ("vehicle", "inspect", "check", "fit", "validate", "linear", "learn", "discover", "compare", "export", "effects", "cite")
 
 
 def _version() -> str:

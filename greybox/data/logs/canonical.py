@@ -95,7 +95,7 @@ def _absent(name: str, spec: ColumnSpec, table: Table, where: str) -> UnknownNam
             got=f"columns {known}",
             fix="`greybox inspect` says what the log lacks and how to log it; a mapping file can name it"
             if table.canonical
-            else f"log it, or say in [columns] of the vehicle file which column is {name}",
+            else f"log it, or say in [columns] of the vehicle file, or in a mapping file, which column is {name}",
         )
     return UnknownNameError("column", spec.name, table.columns, where=f"{where}: {what}")
 

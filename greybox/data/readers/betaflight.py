@@ -8,6 +8,7 @@ Motors are numbered as on the flight controller: 1 rear right, 2 front right, 3 
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -30,6 +31,7 @@ def read_betaflight(path: Path) -> Recording:
     if path.stat().st_size > LONGEST:
         raise DataError("a file of more than 200 MB", where=where, fix="cut it into its flights (bbsplit of orangebox)")
     library("orangebox", where=where, what="a blackbox file")
+    logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
     best: tuple[list[Any], Any, int] | None = None
     with damaged(where, "a blackbox file"):
@@ -176,7 +178,7 @@ FORMAT = LogFormat(
         "motion capture beside it",
         "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that debug_mode = GYRO_SCALED",
         "specific_force": "set acc_hardware = AUTO and blackbox_disable_acc = OFF",
-        "position": "GPS alone is too coarse; log motion capture beside it and merge by a mapping file",
+        "position": "GPS alone is too coarse; log motion capture beside it",
         "velocity": "GPS alone is too coarse; log motion capture beside it",
         "setpoint": "rate setpoints only: a position setpoint does not exist in Betaflight",
     },

@@ -1,0 +1,156 @@
+"""`greybox inspect`: what a log holds, what greybox can use, what is missing, and how to log it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "inspect",
+        help="show what a log of any format holds and what greybox can use of it",
+        description="Show the streams of a log (PX4 ULog, ROS bag, MCAP, Betaflight, Crazyflie, MATLAB, Parquet, CSV) with "
+        "rates and gaps, the channels that greybox makes of them, which effects they allow, what is missing and which "
+        "logging settings would provide it. Exit code 0: the log can be used; 1: it cannot as it is; 2: bad input.",
+    )
+    p.add_argument("log", metavar="LOG", help="flight log of any format (docs/logs.md)")
+    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the log are which channels (docs/logs.md)")
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file: names of columns, number of rotors, known facts")
+    p.add_argument("--all", action="store_true", help="list every stream, also those that are not used")
+    p.add_argument("--out", metavar="LOG.csv", help="write the canonical channels to this CSV file (.csv or .csv.gz)")
+    p.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Inspect, convert, print. Returns 0, or 1 where the log has no commands and sensors in common to fit."""
+    from greybox.data.inspection import inspect_log
+    from greybox.data.logs.write import write_csv
+    from greybox.errors import DataError
+    from greybox.files import dump_json, write_json
+    from greybox.model.vehicle import read_vehicle
+
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    found = inspect_log(arguments.log, vehicle, mapping=arguments.mapping)
+    content = found.to_dict()
+    content["effects"] = effects(found, vehicle)
+    content["uses"] = uses(found)
+    written = None
+    if arguments.out:
+        if found.raw is None:
+            raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
+        written = write_csv(arguments.out, found.raw)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    else:
+        if arguments.json:
+            write_json(arguments.json, content)
+        print(text(content, every=arguments.all))
+        if written is not None:
+            print(f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s")
+    return 0 if content["uses"]["fit"] else 1
+
+
+def _sensors(found: Any) -> tuple[str, ...]:
+    from greybox.model.sensors import SENSORS
+
+    groups = {g.group for g in found.groups}
+    measured = {"rotation": "attitude"}
+    return tuple(s.name for s in SENSORS if measured.get(s.group, s.group) in groups)
+
+
+def uses(found: Any) -> dict[str, Any]:
+    """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds, and a sensor."""
+    groups = {g.group for g in found.groups}
+    sensors = [s for s in _sensors(found) if s != "rotor_speed"]
+    driven = "command" in groups
+    return {
+        "fit": driven and bool(sensors),
+        "sensors": list(_sensors(found)),
+        "rotation": driven and bool({"rate", "attitude"} & groups),
+        "translation": driven and bool({"specific_force", "velocity", "position"} & groups),
+        "speed_input": "rotor_speed" in groups and bool(sensors),
+        "open_loop_horizons": sorted(groups & {"position", "velocity", "attitude", "rate"}),
+    }
+
+
+def effects(found: Any, vehicle: Any) -> dict[str, Any]:
+    """Effects of the catalogue that the log allows, and what the others lack. Facts of a vehicle file count if given."""
+    from greybox.model.effects import CATALOGUE
+
+    sensors = _sensors(found)
+    columns = [c for g in found.groups for c in g.channels]
+    possible, lacking = [], {}
+    for effect in CATALOGUE:
+        lacks = effect.missing(vehicle, sensors, columns)
+        if vehicle is None:
+            lacks = tuple(part for part in lacks if not part.endswith("in the vehicle file"))
+        if lacks:
+            lacking[effect.name] = list(lacks)
+        else:
+            possible.append(effect.name)
+    return {"possible": possible, "lacking": lacking}
+
+
+def text(content: dict[str, Any], *, every: bool = False) -> str:
+    """The result for a terminal."""
+    lines = [f"{content['log']}: {content['title']}"]
+    lines += [f"  {k}: {v}" for k, v in content["info"].items()]
+    used = {c["from"].partition(": ")[2].partition(" [")[0] for c in content["channels"]}
+    used |= {o.split(": ")[2].partition(" [")[0] for o in content["other_sources"]}
+    shown = [s for s in content["streams"] if every or s["name"] in used or len(content["streams"]) <= 12]
+    lines += ["", f"HOLDS  {len(content['streams'])} stream(s)"]
+    width = min(max((len(s["name"]) for s in shown), default=0), 40)
+    for s in shown:
+        span = "" if s["start"] is None else f"{s['start']:.2f}..{s['end']:.2f} s"
+        gaps = f", {s['gaps']} gap(s), longest {1e3 * s['longest_gap']:.0f} ms" if s["gaps"] else ""
+        back = f", {s['backward_steps']} step(s) back" if s["backward_steps"] else ""
+        lines.append(f"  {s['name']:{width}}  {s['samples']:7d} x {s['rate']:7.5g} Hz  {span}{gaps}{back}")
+        if len(content["streams"]) <= 3 or every:
+            fields = [f for f in s["fields"] if "covariance" not in f]
+            names = ", ".join(fields[:24]) + (", ..." if len(fields) > 24 else "")
+            lines.append(f"    {names}")
+    if len(shown) < len(content["streams"]):
+        lines.append(f"  and {len(content['streams']) - len(shown)} that greybox has no use for (--all lists them)")
+    clocks = sorted({s["clock"] for s in shown if s["clock"]})
+    lines += [f"  clock: {c}" for c in clocks[:4]]
+    lost = content["dropouts"]
+    if lost:
+        lines.append(f"  the logger reports {len(lost)} drop-out(s), {sum(d['length'] for d in lost):.2f} s in all")
+    if content["problem"]:
+        lines += ["", f"CANNOT BE USED AS IT IS  {content['problem']}"]
+    else:
+        lines += ["", f"GREYBOX CAN USE  {content['rows']} rows over {content['duration']:.2f} s"]
+        for c in content["channels"]:
+            few = "" if c["enough"] else "  (too slow)"
+            units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
+            lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
+        good = content["uses"]
+        lines.append(
+            "  fits: " + (", ".join(k for k in ("rotation", "translation") if good[k]) or "nothing")
+            + (", also with rotor speeds as the input" if good["speed_input"] else "")
+        )  # fmt: skip
+        for other in content["other_sources"][:8]:
+            lines.append(f"  also there: {other}")
+        possible, lacking = content["effects"]["possible"], content["effects"]["lacking"]
+        lines.append(f"  effects: {len(possible)} of {len(possible) + len(lacking)}")
+        lines += [f"    {name} lacks {', '.join(lacks)}" for name, lacks in lacking.items()]
+    if content["missing"] and not content["problem"]:
+        lines += ["", "MISSING"]
+        for m in content["missing"]:
+            lines.append(f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}")
+            if m["advice"]:
+                lines.append(f"    to log it: {m['advice']}")
+    if content["advice"]:
+        lines += ["", f"HOW TO LOG  {content['advice']}"]
+    if content["rotors"]:
+        lines += ["", "ROTORS of the log, for the vehicle file"]
+        for r in content["rotors"]:
+            x, y, z = r["position"]
+            lines.append(f"  [[rotor]] position = [{x:.4g}, {y:.4g}, {z:.4g}], spin = {r['spin']}")
+    if content["notes"]:
+        lines += ["", "NOTES", *(f"  {n}" for n in content["notes"])]
+    return "\n".join(lines)
