@@ -1,12 +1,15 @@
 """A small document builder: sections, paragraphs, warnings, tables and figures in one self-contained HTML file.
 
-The page needs no network, no script and no other file (a content security policy in it says so). Every text is escaped.
+The page needs no network and no other file (a content security policy in it says so). Every text is escaped. A script stands
+in it only where a report brings one of ours (`live`), and runs by its hash alone.
 The source is well-formed XML as well as HTML, so that tests and other tools can parse it strictly.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -71,6 +74,8 @@ class Report:
         self._sections: list[str] = []
         self._parts: list[str] = []
         self._figures = 0
+        self._scripts: list[str] = []
+        self._css = CSS
 
     def warning(self, text: str) -> None:
         """Add a warning to the box at the top of the page."""
@@ -170,6 +175,13 @@ class Report:
         below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
         self._parts.append(f"<figure>{legend}{body}{below}</figure>")
 
+    def live(self, markup: str, script: str, css: str = "") -> None:
+        """Markup, the script that moves it and its style, all ours: nothing of a user's may stand in them unescaped."""
+        self._parts.append(markup)
+        self._css += css
+        # Read as HTML the marks are comments, read as XML they keep the script as it is.
+        self._scripts.append(f"//<![CDATA[\n{script}\n//]]>")
+
     def html(self) -> str:
         """The whole page."""
         title, warnings, contents = escape(self._title), "", ""
@@ -184,13 +196,17 @@ class Report:
             contents = f'<nav aria-label="Contents"><ul>{links}</ul></nav>'
         subtitle = f'<p class="subtitle">{escape(self._subtitle)}</p>' if self._subtitle else ""
         policy = "default-src 'none'; style-src 'unsafe-inline'"
+        if self._scripts:
+            hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in self._scripts)
+            policy += "; script-src " + " ".join(f"'sha256-{h}'" for h in hashes)
+        scripts = "".join(f"\n<script>{s}</script>" for s in self._scripts)
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8"/>\n'
             f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1"/>\n'
-            f"<title>{title}</title>\n<style>{CSS}</style>\n</head>\n<body>\n"
+            f"<title>{title}</title>\n<style>{self._css}</style>\n</head>\n<body>\n"
             '<a class="skip" href="#main">Skip to the report</a>\n'
             f'<main id="main">\n<header><h1>{title}</h1>{subtitle}</header>\n{warnings}\n{contents}\n'
             + "\n".join(self._parts)
-            + "\n</main>\n</body>\n</html>\n"
+            + f"\n</main>{scripts}\n</body>\n</html>\n"
         )

@@ -1,0 +1,109 @@
+"""`greybox mpc`: fly an identified model inside limits, in closed loop, and show how often they were crossed."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "mpc",
+        help="fly an identified model through a course with limits, with and without a tube",
+        description="Fly controllers on an identified model through a course whose limits bind, many seeded flights "
+        "each: the model alone, with limits tightened by a tube, with one constant back-off, and a cascade of "
+        "PID loops. Writes "
+        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 2: bad input, 130: interrupted "
+        "(the report shows what was flown until then).",
+    )
+    p.add_argument("subject", metavar="MODEL.json|demo", help="model file of `greybox fit` or `learn`; demo: identify a "
+                   "simulated vehicle with hidden effects from one flight first")  # fmt: skip
+    p.add_argument("--plant", metavar="MODULE:ATTRIBUTE", help="the vehicle that is flown, as in scenarios/plants (default: "
+                   "the model itself, disturbed; Python code that is run, only what you trust)")  # fmt: skip
+    p.add_argument("--log", nargs="+", default=[], metavar="LOG", help="real flights whose unexplained force and torque "
+                   "disturb the model (default: the identified process noise)")  # fmt: skip
+    p.add_argument("--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)")
+    p.add_argument("--level", type=float, default=0.1, metavar="P", help="share of flights that may cross a "
+                   "limit (default 0.1)")  # fmt: skip
+    p.add_argument("--pace", type=float, default=None, metavar="F", help="fly the course in F times the time (default: "
+                   "1, or slow enough for the speeds that the model was trained at)")  # fmt: skip
+    p.add_argument(
+        "--jobs", type=int, default=1, metavar="N", help="flights at a time (default 1; 2 spoil solution times a bit)"
+    )
+    p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
+    p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write mpc.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    from greybox.errors import GreyboxError
+
+    if not 0 < arguments.level < 1:
+        raise GreyboxError("--level takes a share of flights", got=f"{arguments.level:g}", fix="--level 0.1")
+    if not 1 <= arguments.flights <= 1000:
+        raise GreyboxError("--flights takes 1 to 1000", got=str(arguments.flights), fix="--flights 20")
+    if arguments.jobs < 1:
+        raise GreyboxError("--jobs takes a number above zero", got=str(arguments.jobs), fix="--jobs 1")
+    if arguments.seed < 0:
+        raise GreyboxError("--seed takes 0 or more", got=str(arguments.seed), fix="--seed 0")
+    if arguments.pace is not None and not 0.5 <= arguments.pace <= 10:
+        raise GreyboxError("--pace takes 0.5 to 10", got=f"{arguments.pace:g}", fix="--pace 2")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prepare, fly, report; what was flown is reported even when interrupted."""
+    from greybox.files import dump_json, write_atomic, write_json
+
+    _check(arguments)
+    from greybox.report.mpc_report import format_table, mpc_report
+    from scenarios.studies.demo_mpc import prepare
+    from scenarios.studies.mpc_campaign import WATCHED, flights, kept, read_traces
+    from scenarios.studies.mpc_summary import summary
+
+    quiet = arguments.json == "-"
+    began = time.perf_counter()
+    out = Path(arguments.out)
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(f"  {time.perf_counter() - began:4.0f} s  {text}", file=sys.stderr, flush=True)
+
+    ours = sys.argv[1:2] == ["mpc"]
+    command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
+    flown = prepare(
+        arguments.subject, out, plant=arguments.plant, logs=arguments.log, pace=arguments.pace,
+        flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
+    )  # fmt: skip
+    campaign, watched = flown.campaign, flown.seeds[:WATCHED]
+
+    def report(warnings: list[str]) -> dict[str, Any]:
+        rows = kept(campaign, flown.entries, flown.seeds)
+        content = summary(
+            what=flown.what, task=campaign.mission(), entries=flown.entries, rows=rows, level=arguments.level,
+            tuning=flown.tuning, seeds=flown.seeds, jobs=arguments.jobs, command=command, warnings=warnings,
+        )  # fmt: skip
+        write_json(out / "mpc.json", content)
+        write_atomic(out / "report.html", mpc_report(content, rows, read_traces(campaign, flown.entries, watched)))
+        return content
+
+    try:
+        flights(campaign, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=say)
+    except KeyboardInterrupt:
+        report(["The run was interrupted: run the same command again to go on."])
+        raise
+    content = report([])
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        print(format_table(content))
+        print(content["verdict"])
+        print(f"wrote flights.jsonl, mpc.json and report.html in {out} ({time.perf_counter() - began:.0f} s)")
+    return 0

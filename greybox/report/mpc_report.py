@@ -1,0 +1,383 @@
+"""The report of `greybox mpc`: from mpc.json (greybox.mpc/1), rows of flights and their traces to one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from greybox.report import figures, mpc_figures
+from greybox.report.html import Cell, Key, Report
+from greybox.report.mpc_animation import CSS, look, markup, packed, script
+from greybox.report.mpc_figures import COLOURS
+from greybox.report.words import number
+
+Row = Mapping[str, Any]
+Traces = Mapping[int, Mapping[str, Any]]
+AXES = ("c1", "c2", "c3")
+"""Colours of x, y and z."""
+CELL = 0.1
+"""Length of the cells of a row's `nearest` [s]."""
+
+
+def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> str:
+    """The page. `content` follows schemas/mpc.json; rows and traces may be few or none (an interrupted run)."""
+    what, found = content["what"], content["controllers"]
+    flown = sum(c["flights"] for c in found.values())
+    titles = {
+        "demo": "Flying an identified model inside limits",
+        "plant": f"Flying {what['model']} against {what['plant']}",
+        "model": f"Flying {what['model']}",
+    }
+    report = Report(
+        titles[what["mode"]],
+        f"{flown} flights, {len(found)} controllers, at most {100 * content['level']:g} % of flights may cross a limit",
+    )
+    for text in content["warnings"]:
+        report.warning(text)
+    _verdict(report, content)
+    _flight(report, content, rows, traces)
+    _table(report, content)
+    _what(report, content)
+    _margins(report, content, rows)
+    _unsure(report, content, traces)
+    _limits(report, content, traces)
+    _times(report, content, rows)
+    _next(report, content)
+    _reproduce(report, content)
+    return report.html()
+
+
+def _names(content: Mapping[str, Any]) -> list[str]:
+    return [n for n, c in content["controllers"].items() if c["flights"]]
+
+
+def _verdict(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("The short answer")
+    tube = content["controllers"].get("tube", {})
+    good = bool(tube.get("flights")) and tube["p_value"] >= 0.05 and not tube["crashed"]
+    if good:
+        report.verdict(content["verdict"])
+    else:
+        report.warning(content["verdict"])
+        report.paragraph(content["verdict"])
+
+
+def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> None:
+    data = packed(content, rows, traces)
+    if not data["flights"]:
+        return
+    report.section("One flight, and what the tube planned")
+    report.paragraph(
+        "Every controller flies the same course in the same gusts. The blue tube is the plan of the moment: "
+        "where the vehicle "
+        "will be over the next "
+        f"{number(data['ahead'], 2)} s, with ellipses that hold it in 95 of 100 cases. The plan keeps the limits by the "
+        "half width of its tube, not by its middle. A cross marks where a controller was deepest beyond a limit."
+    )
+    report.live(markup(data), script(), CSS)
+    _passages(report, content, data)
+
+
+def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any]) -> None:
+    """What the animation shows, for paper: paths past every limit."""
+    runs = [
+        (run["path"], *look(name)) for f in data["flights"] for name, run in f["runs"].items() if not run["crashed"]
+    ]
+    panels = []
+    for plane in content["course"]["planes"]:
+        figure = mpc_figures.paths(runs, content["course"]["path"], plane, title=plane["name"])
+        panels.append((figure, f"Flown paths near {plane['name']}"))
+    count = len(data["flights"])
+    report.figures(
+        panels,
+        key=[
+            Key(text=c["name"], colour=c["colour"], stroke=c["stroke"])
+            for c in data["controllers"]
+            if not all(f["runs"].get(c["name"], {"crashed": True})["crashed"] for f in data["flights"])
+        ],
+        caption=f"Paths past every limit in {count} flight{'s' * (count != 1)}, crashed ones left out; the "
+        f"limit is at 0 cm, "
+        "beyond it is shaded.",
+    )
+
+
+def _counted(hits: Mapping[str, Any]) -> str:
+    low, high = hits["interval"]
+    return f"{100 * low:.0f} .. {100 * high:.0f} %"
+
+
+def _cost(name: str, content: Mapping[str, Any]) -> str | None:
+    """Cost beyond that of the tube, in percent, with one standard error."""
+    base, other = content["controllers"].get("tube"), content["differences"].get(name)
+    if not base or not base["cost"] or not other:
+        return None
+    scale = 100 / base["cost"]
+    if content["controllers"][name]["crashed"]:
+        return "crashes"
+    spread = f" ± {number(scale * other['error'], 2)}" if other["error"] is not None else ""
+    if other["mean"] > 3 * base["cost"]:
+        return f"{number(1 + other['mean'] / base['cost'], 2)} times"
+    return f"{scale * other['mean']:+.1f}".replace("-", "\N{MINUS SIGN}") + f"{spread} %"
+
+
+def _table(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("All flights")
+    body: list[list[Cell]] = []
+    for name, c in content["controllers"].items():
+        if not c["flights"]:
+            body.append([name, c["text"], "0 of 0", None, None, None, None, None, None])
+            continue
+        body.append(
+            [
+                name, c["text"], f"{c['crossed']['count']} of {c['flights']}", _counted(c["crossed"]), c["crashed"],
+                c["tilted"], f"{100 * c['rmse']:.1f}", number(c["cost"], 3), _cost(name, content),
+            ]
+        )  # fmt: skip
+    report.table(
+        ["controller", "what it flies with", "beyond", "95 % interval", "crashed", "tilted", "RMSE [cm]", "cost",
+         "against tube"],
+        body, numeric=(2, 3, 4, 5, 6, 7, 8),
+        caption="Beyond: the true centre of mass crossed a plane, or the flight crashed. Interval: exact (Clopper and "
+        "Pearson). Tilted: further than allowed. Cost: tracking cost per sample with the controller's own "
+        "weights, 100 for a "
+        "crash; against the tube: paired by seed, with one standard error.",
+    )  # fmt: skip
+    planes = [p["name"] for p in content["course"]["planes"]]
+    body = []
+    for name in _names(content):
+        c = content["controllers"][name]
+        cells: list[Cell] = [name]
+        for p in planes:
+            margin = c["margins"][p]
+            hits = c["crossed_planes"][p]
+            nearest = "\N{EN DASH}" if margin is None else f"{100 * margin:.1f}".replace("-", "\N{MINUS SIGN}")
+            cells.append(nearest + (f" ({hits})" if hits else ""))
+        body.append(cells)
+    with report.details("Which limit, and how far"):
+        report.table(
+            ["controller", *(f"{p} [cm]" for p in planes)], body, numeric=range(1, 1 + len(planes)),
+            caption="Least distance of all flights to every limit, negative beyond it; in brackets how many "
+                    "flights crossed it.",
+        )  # fmt: skip
+
+
+def _what(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("What was flown")
+    what, course, tuning = content["what"], content["course"], content["tuning"]
+    plants = {
+        "demo": "An independent simulated vehicle with effects that no model was told of (motor lag, rotor and "
+        "body drag, blade "
+        "flapping, a centre of mass beside the middle), sensor noise and gusts. The models were identified from one flight "
+        "of it.",
+        "plant": f"The plant is {what['plant']}, independent of the model; disturbed by {what['disturbed_by']}.",
+        "model": "The plant is the identified model itself, with parameters drawn from their covariance for every flight, "
+        f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act here.",
+    }
+    report.paragraph(plants[what["mode"]])
+    seeds = content["seeds"]
+    rows = [
+        ("Model", what["model"]),
+        ("Learned part", ", ".join(what["learned"]) or "none: the tube knows noise and parameter errors alone"),
+        ("Identified from", ", ".join(what["trained_on"]) or "not said"),
+        ("Course", f"{number(course['duration'], 3)} s, {len(course['planes'])} planes, tilt up to "
+                   f"{np.degrees(course['tilt_max']):.0f}°, commands {course['command_min']:g} to "
+                   f"{course['command_max']:g}"),
+        ("Pace", "as designed" if course["pace"] == 1 else f"{number(course['pace'], 3)} times the time it was "
+                                                           f"designed for"),
+        ("Controller", f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one real-time "
+                       "iteration a plan; the identified filter estimates the state from measurements"),
+        ("Tube", f"{number(tuning['kappa'], 3)} standard deviations, for {number(tuning['pairs'], 3)} limits that a flight "
+                 f"without tightening touches ({tuning['flights']} training flights)"),
+        ("Constant back-off", f"{1e3 * tuning['moved']:.1f} mm, from the same training flights"),
+        ("Gusts", f"seeds {seeds['first']} to {seeds['first'] + seeds['count'] - 1}, the same for every "
+                  f"controller; training "
+                  "seeds are others"),
+    ]  # fmt: skip
+    report.facts(rows)
+
+
+def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
+    names = [n for n in _names(content) if any(r["controller"] == n for r in rows)]
+    if not names:
+        return
+    report.section("How near the limits every controller came")
+    panels: list[tuple[Figure, str]] = []
+    for name in names:
+        mine = [r["nearest"] for r in rows if r["controller"] == name]
+        crashes = content["controllers"][name]["crashed"]
+        title = f"{name}, {len(mine)} flights" + (f", {crashes} crashed" if crashes else "")
+        figure = mpc_figures.margins(mine, CELL, content["course"]["duration"], title=title, colour=look(name)[0])
+        panels.append((figure, f"Distance to the nearest limit over time, {name}"))
+    report.figures(
+        panels,
+        key=[Key(text="worst flight", colour="ink"), Key(text="median flight", colour="ink", stroke="dash")],
+        caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond it. Gaps: no limit near. "
+        "A crashed flight ends where it left the course.",
+    )
+
+
+def _first(content: Mapping[str, Any], traces: Traces, name: str) -> Mapping[str, Any] | None:
+    return next((runs[name] for runs in traces.values() if name in runs), None)
+
+
+def _unsure(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
+    tube = _first(content, traces, "tube")
+    if tube is None or len(tube["plans"]) < 2:
+        return
+    report.section("Where the model was unsure")
+    plans, what = tube["plans"], content["what"]
+    times = np.array([p["time"] for p in plans])
+    rows: dict[str, Sequence[figures.Line]] = {}
+    for kind, unit, scale in (("force", "N", 1.0), ("torque", "mN m", 1e3)):
+        at = [k for k, n in enumerate(what["learned"]) if n.startswith(f"{kind}.")]
+        sd = scale * np.array([[p["unsure"][k] for k in at] for p in plans])
+        if sd.any():
+            looks = [COLOURS[AXES["xyz".index(what["learned"][k][-1])]] for k in at]
+            rows[f"{kind} [{unit}]"] = [
+                figures.Line(values=v, colour=c, width=1.3) for v, c in zip(sd.T, looks, strict=True) if v.any()
+            ]
+    wide = 100 * np.sqrt([[s[0], s[3], s[5]] for s in (p["spread"][-1] for p in plans)])
+    rows["plan's end [cm]"] = [
+        figures.Line(values=v, colour=COLOURS[c], width=1.3) for v, c in zip(wide.T, AXES, strict=True)
+    ]
+    rows["outside data"] = [figures.Line(values=[p["outside"] for p in plans], colour=COLOURS["ink"], width=1.1)]
+    figure = figures.time_series(times, rows, title="First flight of the tube")
+    place = np.array([p["place"][0] for p in plans])
+    above = mpc_figures.sureness(
+        place[:, :2],
+        np.linalg.norm(wide, axis=1),
+        [p["outside"] for p in plans],
+        title="From above: the wider, the less sure",
+    )
+    report.figures(
+        [
+            (figure, "Uncertainty of the model along the first flight"),
+            (above, "Flown path from above, wide where the plan was unsure"),
+        ],
+        key=[Key(text="x", colour="c1"), Key(text="y, outside data", colour="c2"), Key(text="z", colour="c3")],
+        caption=("Force and torque: standard deviation of the learned part, body axes. " if len(rows) > 2 else "")
+        + "Plan's end: standard deviation of the position at the end of every plan, world axes. Outside data: how far state "
+        "and command lie beyond what the training flights covered (0: inside).",
+    )
+    worst = int(np.argmax(np.asarray(wide).max(axis=1)))
+    far = float(np.mean([p["outside"] > 0 for p in plans]))
+    report.paragraph(
+        f"The plan was least sure {number(float(times[worst]), 3)} s into the flight: "
+        f"{number(float(np.max(wide)), 2)} cm at its "
+        f"end. {100 * far:.0f} % of the plans began outside what the training flights covered"
+        + (
+            ", where a learned part fades and only its stated variance is left: fly training data there."
+            if far > 0.2
+            else "."
+        )
+    )
+
+
+def _limits(report: Report, content: Mapping[str, Any], traces: Traces) -> None:
+    plain = content["what"]["plain"]
+    names = [n for n in ("tube", plain) if _first(content, traces, n) is not None]
+    if not names:
+        return
+    report.section("Tilt and commands, with their limits")
+    course, panels = content["course"], []
+    for name in names:
+        trace = _first(content, traces, name)
+        assert trace is not None
+        times = np.asarray(trace["time"], dtype=float)
+        one = np.ones(len(times))
+        tilt = np.degrees(np.asarray(trace["tilt"], dtype=float))
+        commands = np.asarray(trace["commands"], dtype=float)
+        looks = ("c1", "c2", "c3", "c5", "c4", "muted", "ink", "ink")
+
+        def edge(height: float, one: Any = one) -> figures.Line:
+            return figures.Line(values=one * height, colour=COLOURS["ink"], style="--", width=0.8)
+
+        rows: dict[str, Sequence[figures.Line]] = {
+            "tilt [°]": [
+                figures.Line(values=tilt, colour=COLOURS[look(name)[0]], width=1.4),
+                edge(np.degrees(course["tilt_max"])),
+            ],
+            "commands": [
+                *(
+                    figures.Line(values=v, colour=COLOURS[c], width=0.9)
+                    for v, c in zip(commands.T, looks, strict=False)
+                ),
+                edge(course["command_min"]),
+                edge(course["command_max"]),
+            ],
+        }
+        panels.append(
+            (figures.time_series(times, rows, title=name), f"Tilt and commands of {name} in the first flight")
+        )
+    report.figures(panels, caption="First flight. Dashed: the limits; one colour per rotor. Command limits are hard.")
+
+
+def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
+    names = [n for n in _names(content) if content["controllers"][n]["solve_ms"]["count"]]
+    if not names:
+        return
+    report.section("Was it fast enough")
+    deadline = 1e3 * content["course"]["sample_time"]
+    times = {}
+    for n in names:
+        values = [t for r in rows if r["controller"] == n for t in r["solve_ms"]]
+        if values:
+            times[n] = (values, *look(n))
+    if times:
+        report.figure(
+            mpc_figures.solve_times(times, deadline),
+            key=[Key(text=n, colour=look(n)[0], stroke=look(n)[1]) for n in times],  # type: ignore[arg-type]
+            caption="One plan in C: linearisation, tube, quadratic programme. The deadline is one sample of the filter.",
+            alt="Distribution of solution times",
+        )
+    body: list[list[Cell]] = []
+    for n in names:
+        c = content["controllers"][n]
+        t = c["solve_ms"]
+        events = ", ".join(f"{k} ({v})" for k, v in c["events"].items()) or None
+        body.append(
+            [n, t["count"], f"{t['median']:.1f}", f"{t['p99']:.1f}", f"{t['worst']:.1f}",
+             f"{c['late']['count']} of {c['late']['samples']}", events]
+        )  # fmt: skip
+    jobs = content["jobs"]
+    report.table(
+        ["controller", "plans", "median [ms]", "99 % below [ms]", "worst [ms]", "late answers", "events"],
+        body, numeric=(1, 2, 3, 4, 5),
+        caption="Late answers: samples whose command took longer than a sample, filter, transfer and Python included."
+        + (f" {jobs} flights ran at a time, which spoils these times a little." if jobs > 1 else ""),
+    )  # fmt: skip
+
+
+def _next(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("What to do next")
+    report.bullets(content["next"])
+
+
+def _reproduce(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("How to reproduce this")
+    report.code(content["command"])
+    facts = [("Model file", content["what"]["model_sha256"])]
+    report.facts([*facts, *((k, str(v)) for k, v in content["versions"].items())])
+
+
+def format_table(content: Mapping[str, Any]) -> str:
+    """The table for a terminal."""
+    lines = [
+        f"{'controller':10s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'crashed':>7s} {'tilted':>6s} "
+        f"{'RMSE [cm]':>9s} {'cost':>7s} {'median/99 % [ms]':>16s}"
+    ]
+    for name, c in content["controllers"].items():
+        if not c["flights"]:
+            lines.append(f"{name:10s} {0:7d}")
+            continue
+        t = c["solve_ms"]
+        speed = f"{t['median']:.1f}/{t['p99']:.1f}" if t["count"] else "-"
+        low, high = c["crossed"]["interval"]
+        lines.append(
+            f"{name:10s} {c['flights']:7d} {c['crossed']['count']:6d} {100 * low:5.0f} ..{100 * high:4.0f} % "
+            f"{c['crashed']:7d} {c['tilted']:6d} {100 * c['rmse']:9.2f} {c['cost']:7.3f} {speed:>16s}"
+        )
+    return "\n".join(lines)
