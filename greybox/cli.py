@@ -12,7 +12,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-COMMANDS = ("vehicle", "inspect", "check", "fit", "validate", "linear", "learn", "discover", "compare", "export", "effects", "cite")
+COMMANDS = (
+    "vehicle", "inspect", "check", "fit", "validate", "linear", "learn",
+    "discover", "compare", "export", "mpc", "effects", "cite",
+)  # fmt: skip
 
 
 def _version() -> str:
