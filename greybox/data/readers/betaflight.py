@@ -8,6 +8,7 @@ Motors are numbered as on the flight controller: 1 rear right, 2 front right, 3 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,9 @@ from greybox.data.readers.recording import LogFormat, Recording, Source, Stream,
 from greybox.errors import DataError
 
 _MAGIC = b"H Product:Blackbox"
+MOST_FLIGHTS = 64
+"""Flights in one file that are looked at."""
+
 LONGEST = 200_000_000
 """Files of more bytes than this are refused: a flash chip or a card holds no such log of one craft."""
 
@@ -36,14 +40,14 @@ def read_betaflight(path: Path) -> Recording:
     best: tuple[list[Any], Any, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
-        for index in range(1, min(count, 64) + 1):
+        for index in range(1, min(count, MOST_FLIGHTS) + 1):
             try:
                 parser = box.Parser.load(where, index, allow_invalid_header=True)
-                rows = [frame.data for frame in parser.frames() if frame.type.value in "IP"]
             except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError):
                 if count == 1:
                     raise
-                continue
+                continue  # a damaged flight beside good ones
+            rows = _frames(parser)
             if best is None or len(rows) > len(best[0]):
                 best = (rows, parser, index)
         if best is None or len(best[0]) < 2:
@@ -70,6 +74,16 @@ def read_betaflight(path: Path) -> Recording:
         info=_info(headers),
         notes=(*notes, *said),
     )
+
+
+def _frames(parser: Any) -> list[Any]:
+    """The values of all I and P frames, up to the first that the parser cannot get over (a log that was cut off)."""
+    rows = []
+    with contextlib.suppress(RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
+        for frame in parser.frames():
+            if frame.type.value in "IP":
+                rows.append(frame.data)
+    return rows
 
 
 def _numbers(rows: list[Any], width: int) -> Any:

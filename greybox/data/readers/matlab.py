@@ -6,8 +6,11 @@ several lengths those as long as the time are taken. Version 7.3 (HDF5) and obje
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
-from greybox.data.readers.recording import LogFormat, checked_file, damaged
+from greybox.data.readers.recording import LogFormat, checked_file
 from greybox.errors import DataError
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
 _HDF = b"MATLAB 7.3 MAT-file"
 _TIMES = ("t", "time", "timestamp", "tout", "time_s", "time_ms", "time_us")
-WIDEST = 32
-"""A matrix with more columns than this is no set of channels."""
+TIME_LIMIT = 300
+"""Seconds that reading one file may take."""
 
 
 def read_mat(path: str | os.PathLike[str]) -> Table:
@@ -32,15 +35,11 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
     with Path(path).open("rb") as stream:
         if stream.read(len(_HDF)) == _HDF:
             raise DataError("a MAT file of version 7.3 (HDF5)", where=where, fix="in MATLAB: save(name, '-v7')")
-    with damaged(where, "a MAT file"):
-        from scipy.io import loadmat
-
-        content = loadmat(where, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
-        vectors = dict(_vectors({k: v for k, v in content.items() if not k.startswith("__")}, "", 0))
+    vectors, variables = _read_apart(where)
     lengths = [v.size for v in vectors.values() if v.size > 1]
     if not lengths:
         raise DataError(
-            "no numeric vectors", where=where, got=", ".join(k for k in content if not k.startswith("__"))[:80] or "nothing",
+            "no numeric vectors", where=where, got=", ".join(variables)[:80] or "nothing",
             fix="save plain vectors or structs of them (timeseries and table objects cannot be read)",
         )  # fmt: skip
     times = [k for k, v in vectors.items() if k.rpartition(".")[2].lower() in _TIMES and v.size > 1]
@@ -61,24 +60,28 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
     )
 
 
-def _vectors(values: dict[str, Any], prefix: str, depth: int) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
-    """Name and numbers of every vector and matrix, those inside structs under dotted names."""
-    for name, value in values.items():
-        full = prefix + name
-        if hasattr(value, "_fieldnames"):
-            if depth < 4:
-                yield from _vectors({f: getattr(value, f) for f in value._fieldnames}, full + ".", depth + 1)
-            continue
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiub":
-            continue
-        if array.ndim <= 1:
-            yield full, np.atleast_1d(array).astype(np.float64)
-        elif array.ndim == 2:
-            matrix = (array if array.shape[0] >= array.shape[1] else array.T).astype(np.float64)
-            if matrix.shape[1] <= WIDEST:
-                for j in range(matrix.shape[1]):
-                    yield f"{full}[{j}]", np.ascontiguousarray(matrix[:, j])
+def _read_apart(where: str) -> tuple[dict[str, npt.NDArray[np.float64]], list[str]]:
+    """(vectors by name, names of all variables), read in another process, because scipy can crash on damaged files."""
+    script = Path(__file__).with_name("mat_child.py")
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "vectors.npz"
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", str(script), os.path.abspath(where), str(target)],
+                capture_output=True, text=True, timeout=TIME_LIMIT, check=False, stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except OSError as error:
+            raise DataError(f"no process to read it in: {error.strerror}", where=where) from None
+        except subprocess.TimeoutExpired:
+            raise DataError(f"not read within {TIME_LIMIT} s", where=where, fix="save fewer variables") from None
+        if done.returncode != 0 or not target.exists():
+            said = done.stderr.strip().splitlines()[-1:] if done.returncode == 1 else []
+            why = said[0] if said else "its reader crashed on it"
+            raise DataError(f"cannot be read as a MAT file ({why})", where=where, fix="save or copy it again")
+        with np.load(target, allow_pickle=False) as content:
+            names = json.loads(bytes(content["names"]).decode())
+            vectors = {n: np.asarray(content[f"v{i}"], dtype=np.float64) for i, n in enumerate(names["vectors"])}
+    return vectors, list(names["variables"])
 
 
 FORMAT = LogFormat(

@@ -152,7 +152,7 @@ def library(name: str, *, where: str, what: str) -> Any:
 
 
 @contextlib.contextmanager
-def damaged(where: str, what: str) -> Iterator[None]:
+def damaged(where: str, what: str, *, fix: str = "copy the log again") -> Iterator[None]:
     """Turn whatever a parser of foreign bytes raises into one `DataError`; its warnings are not ours to show.
 
     Parsers of damaged files fail in any way they like (struct, index, memory, recursion), so that the net is wide.
@@ -166,7 +166,7 @@ def damaged(where: str, what: str) -> Iterator[None]:
     except Exception as error:
         text = str(error).strip().splitlines()
         said = f"{type(error).__name__}: {text[0][:120]}" if text else type(error).__name__
-        raise DataError(f"cannot be read as {what} ({said})", where=where, fix="copy the log again") from None
+        raise DataError(f"cannot be read as {what} ({said})", where=where, fix=fix) from None
 
 
 def checked_file(path: Path) -> str:

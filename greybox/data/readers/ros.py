@@ -30,6 +30,8 @@ _BAG = b"#ROSBAG V"
 _MCAP = b"\x89MCAP0\r\n"
 _SQLITE = b"SQLite format 3"
 
+_RECOVER = "copy it again; a recording that was cut off: `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+
 LONGEST_ARRAY = 16
 """Arrays of more entries than this (images, scans) are not read."""
 
@@ -41,13 +43,13 @@ def read_ros(path: Path) -> Recording:
     rows: dict[str, _Topic] = {}
     unread: dict[str, str] = {}
     if not path.is_dir() and _head(path).startswith(_MCAP) and _json_only(path, where):
-        with damaged(where, "an MCAP file"):
+        with damaged(where, "an MCAP file", fix=_RECOVER):
             _read_json(path, where, rows)
     else:
         library("rosbags", where=where, what="a ROS bag")
         reader = library("rosbags.highlevel", where=where, what="a ROS bag")
         types = library("rosbags.typesys", where=where, what="a ROS bag")
-        with damaged(where, "a ROS bag"):
+        with damaged(where, "a ROS bag", fix=_RECOVER):
             store = types.get_typestore(types.Stores.ROS2_HUMBLE)
             with reader.AnyReader([_bag_of(path)], default_typestore=store) as bag:
                 for connection, stamp, raw in bag.messages():
@@ -168,7 +170,7 @@ def _json_only(path: Path, where: str) -> bool:
     """Whether the first channel of an MCAP file is JSON (what many companion computers write)."""
     library("mcap", where=where, what="an MCAP file")
     reader = library("mcap.reader", where=where, what="an MCAP file")
-    with damaged(where, "an MCAP file"), path.open("rb") as stream:
+    with damaged(where, "an MCAP file", fix=_RECOVER), path.open("rb") as stream:
         summary = reader.make_reader(stream).get_summary()
         channels = [] if summary is None else list(summary.channels.values())
         return bool(channels) and all(c.message_encoding == "json" for c in channels)

@@ -8,10 +8,14 @@ what is logged how often; parameter THR_MDL_FAC for the map from thrust to motor
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
+import re
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -33,6 +37,11 @@ _MAGIC = b"ULog\x01\x12\x35"
 MOTOR_FUNCTION = 101
 """Output function (PWM_MAIN_FUNCi and the like) of motor 1 in PX4."""
 
+WIDEST_FORMAT = 20_000
+"""Fields of one message, arrays and nested types unfolded, above which a file is refused."""
+
+_MEMBER = re.compile(r"([A-Za-z0-9_]+)(?:\[(\d+)\])?\s")
+
 QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 
 
@@ -41,7 +50,9 @@ def read_ulog(path: Path) -> Recording:
     where = str(path)
     digest = checked_file(path)
     core = library("pyulog", where=where, what="a ULog file")
-    with damaged(where, "a ULog file"), path.open("rb") as file:
+    # pyulog prints what it thinks of a file; standard output is for results.
+    with damaged(where, "a ULog file"), path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
+        _demand_small_formats(file, where)
         log = core.ULog(file)
         streams = dict(_streams(log))
         parameters = {str(k): float(v) for k, v in log.initial_parameters.items() if isinstance(v, (int, float))}
@@ -69,6 +80,45 @@ def read_ulog(path: Path) -> Recording:
         rotors=rotors,
         notes=tuple(notes),
     )
+
+
+def _demand_small_formats(file: BinaryIO, where: str) -> None:
+    """Refuse message formats that unfold into absurdly many fields (arrays of nested types): they would fill the memory.
+
+    Raises `DataError`. Leaves the file at its beginning.
+    """
+    file.seek(16)
+    formats: dict[str, list[tuple[str, int]]] = {}
+    while len(head := file.read(3)) == 3:
+        size, kind = struct.unpack("<HB", head)
+        if kind in b"AD":
+            break
+        content = file.read(size)
+        if kind == ord("F"):
+            name, _, members = content.decode("utf-8", "replace").partition(":")
+            found = (_MEMBER.match(m.strip()) for m in members.split(";"))
+            formats[name] = [(m[1], int((m[2] or "1")[:9])) for m in found if m]
+    file.seek(0)
+
+    def width(name: str, depth: int) -> int:
+        if name not in formats:
+            return 1
+        if depth > 8:
+            return WIDEST_FORMAT + 1
+        total = 0
+        for kind, count in formats[name]:
+            total += count * width(kind, depth + 1)
+            if total > WIDEST_FORMAT:
+                break
+        return total
+
+    for name in formats:
+        if width(name, 0) > WIDEST_FORMAT:
+            raise DataError(
+                f"message format '{name[:40]}' has more than {WIDEST_FORMAT} fields",
+                where=where,
+                fix="copy the log again; no version of PX4 writes such a format",
+            )
 
 
 def _streams(log: Any) -> Iterator[tuple[str, Stream]]:

@@ -10,7 +10,6 @@ import pytest
 
 from greybox.data.logs import read_log, read_table
 from greybox.data.raw import RawLog
-
 from tests.data.readers import writers as w
 
 CASES: dict[str, tuple[str, Callable[[Path, dict[str, np.ndarray]], Path], str]] = {

@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def px4_attitude(c: Columns) -> np.ndarray:
 class ULogWriter:
     """Bytes of a ULog file (docs.px4.io, "ULog File Format")."""
 
-    TYPES = {"uint64_t": "Q", "float": "f", "uint32_t": "I", "uint8_t": "B", "int32_t": "i"}
+    TYPES: ClassVar = {"uint64_t": "Q", "float": "f", "uint32_t": "I", "uint8_t": "B", "int32_t": "i"}
 
     def __init__(self, start: int = 0) -> None:
         self.head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start)
@@ -279,7 +279,8 @@ def blackbox_bytes(fields: Mapping[str, np.ndarray], headers: Mapping[str, str])
     """A blackbox log of I frames: every field a signed variable-byte integer without a prediction."""
     names = ["loopIteration", *fields]
     n = len(next(iter(fields.values())))
-    out = "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\nH I interval:1\nH P interval:1/1\n"
+    out = "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n"
+    out += "H I interval:1\nH P interval:1/1\n"
     out += "H Field I name:" + ",".join(names) + "\n"
     for key in ("signed", "predictor", "encoding"):
         one = {"signed": "1", "predictor": "0", "encoding": "0"}[key]
@@ -422,5 +423,5 @@ def write_parquet(path: Path, columns: Columns) -> Path:
 def write_mat(path: Path, columns: Columns) -> Path:
     from scipy.io import savemat
 
-    savemat(path, {k: v for k, v in columns.items()}, do_compression=True)
+    savemat(path, dict(columns), do_compression=True)
     return path
