@@ -25,9 +25,8 @@ from greybox.symbolic import FloatArray
 
 LIMITS = (0.02, 5.0)
 """Bounds of the factors on the levels."""
-GRID = (0.04, 0.2, 0.5, 1.0, 2.0, 5.0, 25.0)
-"""Factors that a level of its own is tried at before it is refined between the best one's neighbours."""
-SWEEPS = 2
+WIDE = (1e-3, 50.0)
+"""Bounds of the factors where every level has its own."""
 
 
 def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) -> IdentifiedModel:
@@ -87,22 +86,16 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
 
 
 def _one_by_one(cost: Callable[[FloatArray], float], levels: FloatArray, value: float) -> FloatArray:
-    """`levels` (of cost `value`) after `SWEEPS` rounds of line searches, the first over all of `GRID`; never worse."""
-    for sweep in range(SWEEPS):
-        factors = GRID if sweep == 0 else GRID[2:5]
-        for i in np.flatnonzero(levels > 0):
-            step = np.zeros(len(levels))
-            step[i] = 1.0
+    """`levels` (of cost `value`) after Powell's method on their logarithms; never worse."""
+    free = np.flatnonzero(levels > 0)
 
-            def along(v: float, step: FloatArray = step, base: FloatArray = levels) -> float:
-                return cost(base * np.exp(v * step))
+    def moved(v: FloatArray) -> FloatArray:
+        out = levels.copy()
+        out[free] *= np.exp(v)
+        return out
 
-            values = [along(float(np.log(f))) for f in factors]
-            j = int(np.argmin(values))
-            low, high = factors[max(j - 1, 0)], factors[min(j + 1, len(factors) - 1)]
-            found = scipy.optimize.minimize_scalar(
-                along, bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 0.02}
-            )
-            if found.fun < value:
-                value, levels = float(found.fun), levels * np.exp(found.x * step)
-    return levels
+    best = scipy.optimize.minimize(
+        lambda v: cost(moved(v)), np.zeros(len(free)), method="Powell", bounds=[tuple(np.log(WIDE))] * len(free),
+        options={"xtol": 0.02, "ftol": 1e-7, "maxiter": 6},
+    )  # fmt: skip
+    return moved(best.x) if best.fun < value else levels
