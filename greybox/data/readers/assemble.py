@@ -335,11 +335,15 @@ def _beside(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float
     away = rows[row] - t
     keep = np.abs(away) <= 0.75 * row_step
     j = np.arange(t.size)
-    other = np.clip(np.where(away >= 0, j + 1, j - 1), 0, t.size - 1)
-    span = t[other] - t
-    near = (span != 0) & (np.abs(span) <= reach)
-    share = np.where(near, away / np.where(near, span, 1.0), 0.0)[:, None]
-    moved = values + share * (values[other] - values)
+    toward = np.where(away >= 0, 1, -1)
+    moved, done = values.copy(), np.zeros(t.size, dtype=bool)
+    # The neighbour on the row's side; where there is none (ends, gaps) the line through the other one.
+    for side in (toward, -toward):
+        other = np.clip(j + side, 0, t.size - 1)
+        span = t[other] - t
+        good = ~done & (span != 0) & (np.abs(span) <= reach)
+        moved[good] += (away / np.where(good, span, 1.0))[good, None] * (values[other] - values)[good]
+        done |= good
     out[row[keep]] = moved[keep]
     return out
 

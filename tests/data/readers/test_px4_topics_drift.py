@@ -1,0 +1,170 @@
+"""PX4 logs of different versions, settings and faults give the same channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greybox.data.inspection import inspect_log
+from greybox.data.logs import read_log, read_table
+from greybox.data.readers import read_recording
+from tests.data.readers import writers as w
+
+pyulog = pytest.importorskip("pyulog")
+N = 300
+
+
+def with_change(path: Path, change: Callable[[w.ULogWriter, np.ndarray], Any], **options: Any) -> Path:
+    return w.write_ulog(path, w.channels(rows=N), change=change, **options)
+
+
+def test_the_formats_own_writer_gives_the_same_log(tmp_path: Path) -> None:
+    first = w.write_ulog(tmp_path / "a.ulg", w.channels(rows=N))
+    pyulog.ULog(str(first)).write_ulog(str(tmp_path / "b.ulg"))
+    one, two = read_table(first), read_table(tmp_path / "b.ulg")
+    assert list(one.channels) == list(two.channels)
+    np.testing.assert_array_equal(one.t, two.t)
+    for name in one.channels:
+        np.testing.assert_array_equal(one.channels[name], two.channels[name])
+
+
+def test_rotors_of_the_log_are_those_of_the_vehicle(tmp_path: Path) -> None:
+    found = read_recording(w.write_ulog(tmp_path / "a.ulg", w.channels(rows=N)))
+    for (position, spin), rotor in zip(found.rotors, w.vehicle().rotors, strict=True):
+        np.testing.assert_allclose(position, rotor.position, atol=1e-7)
+        assert spin == rotor.spin
+
+
+def test_without_sensor_combined_the_filtered_gyro_is_taken_at_its_sample_time(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.data.clear()
+        gyro = np.column_stack(w.to_frd(c, ("p", "q", "r"))).astype(np.float32)
+        sampled = stamps.astype(np.uint64)
+        log.topic("vehicle_angular_velocity", stamps + 1500, {"timestamp_sample": sampled, "xyz": gyro})
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change))
+    assert any("low-pass filtered by PX4" in n for n in raw.notes)
+    np.testing.assert_allclose(raw.t, c["t"], atol=1e-6)
+    np.testing.assert_allclose(raw.channels["q"], c["q"], atol=1e-5)
+
+
+def test_integrated_gyro_belongs_to_the_middle_of_its_interval(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+    boot = 50.0
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.data = [(t, m) for t, m in log.data if m[3:5] != b"\0\0"]  # message 0 is sensor_combined
+        gyro = np.column_stack(w.to_frd(c, ("p", "q", "r")))
+        span = np.full(N, 4000, np.uint32)
+        fields = {"delta_angle": (gyro * 0.004).astype(np.float32), "delta_angle_dt": span}
+        log.topic("vehicle_imu", stamps + 2000, fields)
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change, boot=boot))
+    assert any("t = 0 is 50.000000 s" in n for n in raw.notes), raw.notes
+    np.testing.assert_allclose(raw.channels["p"], c["p"], atol=1e-5)
+    np.testing.assert_allclose(raw.channels["u1"], c["u1"], atol=1e-5)
+
+
+@pytest.mark.parametrize("functions", [(101, 102, 103, 104), (104, 102, 101, 103)])
+def test_outputs_are_put_into_motor_order_by_their_functions(tmp_path: Path, functions: tuple[int, ...]) -> None:
+    c = w.channels(rows=N)
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.data = [(t, m) for t, m in log.data if m[3:5] not in (b"\1\0", b"\2\0")]  # both actuator_outputs
+        pwm = np.full((N, 16), 900.0)
+        for place, function in enumerate(functions):
+            log.parameter(f"PWM_MAIN_FUNC{place + 1}", function)
+            pwm[:, place] = 1100 + 800 * c[f"u{function - 100}"]
+        log.parameter("PWM_MAIN_MIN1", 1100)
+        log.parameter("PWM_MAIN_MAX1", 1900)
+        fields = {"noutputs": np.full(N, 4, np.uint32), "output": pwm.astype(np.float32)}
+        log.topic("actuator_outputs", stamps, fields, instance=2)
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change, version="old"))
+    for i in (1, 2, 3, 4):
+        np.testing.assert_allclose(raw.channels[f"u{i}"], c[f"u{i}"], atol=1e-5)
+
+
+def test_disarmed_outputs_are_zero_and_not_negative(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+    c["u1"][:50] = (900 - 1075) / (1950 - 1075)
+    raw = read_table(w.write_ulog(tmp_path / "a.ulg", c, version="old"))
+    assert (raw.channels["u1"][:50] == 0).all()
+
+
+def test_esc_speeds_follow_the_motor_that_they_drive(tmp_path: Path) -> None:
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        log.definitions += log._message("F", b"esc_report:int32_t esc_rpm;uint8_t actuator_function;")
+        log.definitions += log._message("F", b"esc_status:uint64_t timestamp;esc_report[4] esc;")
+        log.subscriptions += log._message("A", b"\0" + log.count.to_bytes(2, "little") + b"esc_status")
+        import struct
+
+        for stamp in stamps.astype(int):
+            body = struct.pack("<HQ", log.count, stamp)
+            for motor in (3, 1, 4, 2):
+                body += struct.pack("<iB", -1000 * motor, 100 + motor)
+            log.data.append((stamp, log._message("D", body)))
+        log.count += 1
+
+    raw = read_table(with_change(tmp_path / "a.ulg", change))
+    for i in (1, 2, 3, 4):
+        np.testing.assert_allclose(raw.channels[f"omega{i}"], 1000 * i * np.pi / 30, rtol=1e-6)
+
+
+def test_motion_capture_is_offered_and_taken_where_the_mapping_says_so(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        place = np.column_stack(w.to_ned(c, ("x", "y", "z"))).astype(np.float32) + np.float32(5.0)
+        log.topic("vehicle_visual_odometry", stamps, {"position": place, "q": w.px4_attitude(c).astype(np.float32)})
+
+    path = with_change(tmp_path / "a.ulg", change)
+    found = inspect_log(path)
+    assert any(o.startswith("position: ") and "vehicle_visual_odometry" in o for o in found.others)
+    np.testing.assert_allclose(read_table(path).channels["z"][::5], c["z"][::5], atol=1e-5)
+    chosen = tmp_path / "map.toml"
+    chosen.write_text('schema = "greybox.mapping/1"\n[position]\nstream = "vehicle_visual_odometry"\n')
+    np.testing.assert_allclose(read_table(path, mapping=chosen).channels["z"], c["z"] - 5.0, atol=1e-5)
+
+
+def test_drop_outs_become_breaks_and_are_reported(tmp_path: Path) -> None:
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        lost = (stamps[120], stamps[160])
+        log.data = [(t, m) for t, m in log.data if not lost[0] <= t < lost[1]]
+        log.dropout(int(lost[0]), 400)
+
+    path = with_change(tmp_path / "a.ulg", change)
+    found = inspect_log(path)
+    assert found.recording.dropouts == ((pytest.approx(77.0 + 1.19), pytest.approx(0.4)),)
+    flight = read_log(path, w.vehicle(), trim=False)
+    assert [s.n for s in flight.segments] == [120, 140]
+    assert any("lost data for 400 ms at t = 1.190 s" in n for n in flight.notes)
+
+
+def test_commands_at_ten_hertz_are_called_too_slow(tmp_path: Path) -> None:
+    """The default logging profile: the setting that helps is named."""
+
+    def change(log: w.ULogWriter, stamps: np.ndarray) -> None:
+        kept = set(stamps[::10].astype(int).tolist())
+        log.data = [(t, m) for t, m in log.data if m[3:5] != b"\1\0" or t in kept]  # message 1 is actuator_motors
+
+    path = with_change(tmp_path / "a.ulg", change)
+    found = inspect_log(path)
+    slow = next(m for m in found.missing if m.group == "command")
+    assert slow.reason.startswith("only 10 Hz")
+    assert "SDLOG_PROFILE" in slow.advice
+    assert any("logged at 10 Hz only" in n for n in found.notes)
+
+
+def test_slow_topics_are_not_interpolated(tmp_path: Path) -> None:
+    raw = read_table(w.write_ulog(tmp_path / "a.ulg", w.channels(rows=N), slow_every=10))
+    known = np.isfinite(raw.channels["vx"])
+    assert known.sum() == N / 10
+    flight = read_log(tmp_path / "a.ulg", w.vehicle(), trim=False)
+    assert np.isfinite(flight.segments[0].channels["vx"]).sum() == N / 10
