@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 COMMANDS = (
-    "vehicle", "inspect", "check", "fit", "validate", "linear", "learn",
+    "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
     "discover", "compare", "export", "mpc", "effects", "cite",
 )  # fmt: skip
 

@@ -1,0 +1,135 @@
+"""`greybox plan`: excitation flights that make the wanted parameters known, with the standard errors to expect."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from greybox.commands.fit import names, noise_levels, values
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Numbers separated by commas."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected numbers separated by commas, got '{text}'") from None
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "plan",
+        help="propose excitation flights, with the standard errors to expect",
+        description="Propose excitation flights within limits, chosen for the information that they give about the "
+        "parameters (D-optimal), with expected standard errors and the effects they separate. Writes plan.json, setpoints "
+        "and expected log per flight (flight_1.csv, expected_1.csv), plan.png and report.html. Exit code 0: done; 1: done, "
+        "but nothing will be known of some wanted parameter; 2: bad input.",
+    )  # fmt: skip
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
+    p.add_argument(
+        "--model", metavar="MODEL.json", help="fitted model: its values, noise and covariance are what is known"
+    )
+    p.add_argument(
+        "--for", dest="effects", type=names, default=(), metavar="a,b", help="effects that the flights are for"
+    )
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
+                   help="know the effects of these Python files too, which are run (only what you trust)")  # fmt: skip
+    p.add_argument("--free", type=names, default=None, metavar="a,b", help="estimate exactly these parameters")
+    p.add_argument("--value", type=values, default={}, metavar="a=1,b=2", help="values that are taken for true")
+    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...",
+                   help="noise levels, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
+    p.add_argument("--sensors", type=names, default=None, metavar="a,b",
+                   help="what is logged: position, velocity, attitude, gyro, accelerometer (default: [noise])")  # fmt: skip
+    p.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="length of all flights together (default 60)"
+    )
+    p.add_argument("--piece", type=float, default=5.0, metavar="S", help="length of one manoeuvre (default 5)")
+    p.add_argument(
+        "--flights", type=int, default=1, metavar="N", help="how many flights to split them into (default 1)"
+    )
+    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="sample rate (default 100, or the model's)")
+    p.add_argument("--box", type=numbers, default=(4.0, 4.0, 2.5), metavar="L,W,H",
+                   help="room to fly in [m]: length x, width y, height above the floor (default 4,4,2.5)")  # fmt: skip
+    p.add_argument("--floor", type=float, default=0.3, metavar="M", help="lowest height [m] (default 0.3)")
+    p.add_argument("--speed", type=float, default=3.0, metavar="V", help="highest speed [m/s] (default 3)")
+    p.add_argument(
+        "--tilt", type=float, default=35.0, metavar="DEG", help="largest tilt [degrees], at most 35 (default 35)"
+    )
+    p.add_argument("--command", dest="range", type=numbers, default=None, metavar="LO,HI",
+                   help="range of the rotor commands (default: the vehicle's less 2 %% at both ends)")  # fmt: skip
+    p.add_argument("--setpoints-only", action="store_true", help="only manoeuvres that need no injected signals")
+    p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
+    p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write plan.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Plan, write, report. Returns 0, or 1 where nothing will be known of a wanted parameter."""
+    import numpy as np
+
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.vehicle import read_vehicle
+    from greybox.planning import plan
+    from greybox.planning.limits import Limits, command_range
+    from greybox.planning.setpoints import csv, setpoints
+    from greybox.report.plan_report import plan_picture, plan_report
+    from greybox.residual.files import load_model
+
+    if (arguments.vehicle is None) == (arguments.model is None):
+        raise GreyboxError(
+            "one of --vehicle and --model is needed",
+            got="neither" if arguments.model is None else "both (the model holds its vehicle)",
+            fix="--vehicle V.toml before the first flight, --model model.json after it",
+        )  # fmt: skip
+    for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
+        if given is not None and len(given) != length:
+            raise GreyboxError(
+                f"{option} takes {length} numbers", got=str(len(given)), fix="--box 4,4,2.5 --command 0.1,0.9"
+            )
+    if arguments.rate is not None and not 10 <= arguments.rate <= 2000:
+        raise GreyboxError("--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100")
+    own = {e.name: e for path in arguments.effects_file for e in load_effects(path)}
+    model = load_model(arguments.model, effects=own.values()) if arguments.model else None
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else model.physics.vehicle  # type: ignore[union-attr]
+    limits = Limits(
+        box=arguments.box, floor=arguments.floor, speed=arguments.speed, tilt=float(np.radians(arguments.tilt)),
+        command=arguments.range or command_range(vehicle),
+    )  # fmt: skip
+    quiet = arguments.json == "-"
+    found = plan(
+        None if model else vehicle, model=model, effects=[own.get(n, n) for n in arguments.effects],
+        seconds=arguments.seconds, piece=arguments.piece, flights=arguments.flights, limits=limits, free=arguments.free,
+        values=arguments.value,
+        noise=arguments.noise, sensors=arguments.sensors, sample_time=1 / arguments.rate if arguments.rate else None,
+        setpoints_only=arguments.setpoints_only, seed=arguments.seed,
+        say=None if quiet else lambda text: print(f"  {text}", file=sys.stderr),
+    )  # fmt: skip
+    content = found.to_dict()
+    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["plan"] else "greybox plan"
+    gravity = float(vehicle.gravity)
+    sent = [setpoints(steps, limits, found.subject.sample_time, gravity) for steps in found.flights]
+    seen = [{"t": s.t, **s.channels} for f in found.log.flights for s in f.segments]
+    both = list(zip(sent, seen, strict=True))
+    out = Path(arguments.out)
+    for k, (to_fly, expected) in enumerate(both):
+        write_atomic(out / f"flight_{k + 1}.csv", csv(to_fly))
+        write_atomic(out / f"expected_{k + 1}.csv", csv(expected))
+    write_atomic(out / "plan.png", plan_picture(content, both))
+    write_atomic(out / "report.html", plan_report(content, both))
+    write_json(out / "plan.json", content)
+    if quiet:
+        sys.stdout.write(dump_json(content))
+    else:
+        if arguments.json:
+            write_json(arguments.json, content)
+        print(found.summary())
+        print(f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}")
+    blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
+    return 1 if blind else 0

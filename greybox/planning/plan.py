@@ -1,0 +1,199 @@
+"""plan: from a vehicle or a model to excitation flights with the standard errors that they are expected to give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from greybox.data import Dataset
+from greybox.discovery.manoeuvres import flown
+from greybox.errors import FitError, GreyboxError
+from greybox.estimation.identifiability import marginal_information, unidentified
+from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel
+from greybox.model.vehicle import Vehicle
+from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
+from greybox.planning.limits import Limits, command_range
+from greybox.planning.pieces import Flown, fit_in, pieces, sequence
+from greybox.planning.result import Plan, Step
+from greybox.planning.subject import Subject, subject
+
+ROUNDS, SMALLER = 8, 0.85
+"""How often, and by which factor, manoeuvres that break a limit in the whole flight are made smaller."""
+
+
+def plan(
+    vehicle: Vehicle | None = None,
+    *,
+    model: IdentifiedModel | None = None,
+    effects: Iterable[str | Effect] = (),
+    seconds: float = 60.0,
+    piece: float = 5.0,
+    flights: int = 1,
+    limits: Limits | None = None,
+    free: Iterable[str] | None = None,
+    values: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    sensors: Iterable[str] | None = None,
+    sample_time: float | None = None,
+    setpoints_only: bool = False,
+    seed: int = 0,
+    say: Callable[[str], None] | None = None,
+) -> Plan:
+    """Choose `seconds` of manoeuvres of `piece` seconds each, in `flights` flights, that tell most about what is wanted.
+
+    Wanted are the parameters of `effects`, or all that are free where none is named; see `subject` for model, values,
+    noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees and the command range less 2 %
+    at both ends. `setpoints_only` leaves out manoeuvres that need injected signals. `say` hears of progress.
+    Raises `GreyboxError` (limits without room, nothing to estimate), `FitError` (nothing that can be flown),
+    `UnknownNameError`, `ModelError`.
+    """
+    effects, free, sensors = (
+        tuple(effects),
+        None if free is None else tuple(free),
+        None if sensors is None else tuple(sensors),
+    )
+    if not (np.isfinite(seconds) and 2.0 <= piece <= seconds):
+        raise GreyboxError(
+            "too short a flight",
+            expected="2 s <= --piece <= --seconds",
+            got=f"{piece:g} s and {seconds:g} s",
+            fix="--seconds 60 --piece 5",
+        )
+    count = int(seconds / piece + 1e-9)
+    if not 1 <= flights <= count:
+        raise GreyboxError(
+            "every flight needs a manoeuvre", expected=f"1 to {count} flights", got=str(flights), fix="--flights 1"
+        )
+    with threadpool_limits(limits=1):
+        wish, limits, notes = _hovering(
+            lambda assumed: subject(
+                vehicle, model, effects=effects, free=free, values=values, noise=noise, sensors=sensors,
+                sample_time=sample_time, assumed=assumed,
+            ),
+            limits, piece,
+        )  # fmt: skip
+        candidates, left_out = _flyable(wish, limits, piece, seed, setpoints_only, say)
+        told = {}
+        for name, f in candidates.items():
+            told[name] = information(wish, f.log)
+            _say(say, f"weighed {f.piece.text}")
+        names = next(iter(told.values())).names
+        chosen = choose(told, count, Score(wish, names))
+        steps = [(candidates[n].piece, candidates[n].amplitude) for n in chosen]
+        split = tuple(tuple(steps[i] for i in part) for part in np.array_split(np.arange(count), flights))
+        split, log = _kept(wish, limits, split)
+        found = information(wish, log)
+        naive = information(wish, _naive(wish, limits, candidates, count * piece))
+    places = [i for i, n in enumerate(names) if n in wish.free]
+    warnings = [f"the whole flight breaks the limit of {b}" for b in limits.broken(log)]
+    expected = errors(wish, found)
+    warnings += [f"nothing will be known of {n}" for n, (std, _) in expected.items() if not np.isfinite(std)]
+    warnings += notes
+    return Plan(
+        subject=wish, limits=limits, flights=split, log=log, information=found, errors=expected,
+        naive=errors(wish, naive), efficiency=efficiency(wish, found, naive), pairs=tuple(pairs(wish, found)),
+        unidentified=unidentified(
+            marginal_information(found.matrix, places), [names[i] for i in places], [wish.values[names[i]] for i in places]
+        ),
+        left_out=tuple(left_out), warnings=tuple(warnings), seed=seed,
+    )  # fmt: skip
+
+
+def _hovering(
+    make: Callable[[float], Subject], limits: Limits | None, seconds: float
+) -> tuple[Subject, Limits, list[str]]:  # fmt: skip
+    """The subject, with effects of assumed size made smaller until the craft hovers within the limits."""
+    for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
+        wish = make(assumed)
+        room = limits or Limits(command=command_range(wish.dynamics.vehicle))
+        hover = pieces(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
+        if fit_in(wish.flying, hover, room) is not None:
+            note = f"effects without a stated size are taken at {assumed:g} of their typical one"
+            return wish, room, [] if assumed == 1.0 else [note]
+    raise FitError(
+        "the craft cannot hover within the limits", expected="a vehicle that carries itself, and effects that it can trim",
+        got="rotors at their limits or a lost path",
+        fix="greybox vehicle check; smaller --value of the effects; wider --box",
+    )  # fmt: skip
+
+
+def _say(say: Callable[[str], None] | None, text: str) -> None:
+    if say is not None:
+        say(text)
+
+
+def _flyable(
+    wish: Subject, limits: Limits, seconds: float, seed: int, setpoints_only: bool, say: Callable[[str], None] | None
+) -> tuple[dict[str, Flown], list[str]]:  # fmt: skip
+    """The pieces that keep the limits, by name, and the texts of those that do not. Raises `FitError` where none does."""
+    out, left_out = {}, []
+    for p in pieces(wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only):
+        done = fit_in(wish.flying, p, limits)
+        if done is None:
+            left_out.append(p.text)
+            _say(say, f"cannot be flown inside the limits: {p.text}")
+        else:
+            out[p.name] = done
+            _say(say, f"flown: {p.text} ({100 * done.amplitude:.0f} %)")
+    if "hover" not in out or len(out) < 2:
+        raise FitError(
+            "no manoeuvre keeps the limits", expected="at least hover and one manoeuvre",
+            got=f"{len(out)} of {len(out) + len(left_out)}",
+            fix="widen --box, --speed, --tilt or --command; greybox vehicle check; smaller --value of the effects",
+        )  # fmt: skip
+    return out, left_out
+
+
+def _kept(
+    wish: Subject, limits: Limits, split: Sequence[Sequence[Step]]
+) -> tuple[tuple[tuple[Step, ...], ...], Dataset]:
+    """The flights and their logs. Manoeuvres that break a limit where they follow each other are made smaller.
+
+    What a manoeuvre leaves behind reaches into the next one, so that the one before is made smaller as well.
+    """
+    sizes = [[a for _, a in steps] for steps in split]
+    seconds = split[0][0][0].seconds
+    for _ in range(ROUNDS):
+        smaller = tuple(
+            tuple((p, a) for (p, _), a in zip(steps, own, strict=True)) for steps, own in zip(split, sizes, strict=True)
+        )
+        log = _fly(wish, limits, smaller)
+        hurt = np.zeros(sum(s.n for f in log.flights for s in f.segments), dtype=bool)
+        for where in limits.breaches(log).values():
+            hurt |= where
+        if not hurt.any():
+            break
+        bad = {int(k) for k in np.flatnonzero(hurt) * wish.sample_time // seconds}
+        flat = [(f, k) for f, steps in enumerate(split) for k in range(len(steps))]
+        for i in bad:
+            for f, k in flat[max(i - 1, 0) : i + 1]:
+                if flat[i][0] == f:
+                    sizes[f][k] *= SMALLER
+    return smaller, log
+
+
+def _fly(wish: Subject, limits: Limits, split: Sequence[Sequence[Step]]) -> Dataset:
+    """Noise-free logs of whole flights. Raises `FitError` where one is lost."""
+    logs = []
+    for k, steps in enumerate(split):
+        log = flown(
+            wish.flying, sequence(list(steps), limits, f"flight_{k + 1}"), 1.0, seconds=sum(p.seconds for p, _ in steps)
+        )  # fmt: skip
+        if log is None:
+            raise FitError(
+                f"flight {k + 1} of the plan saturates the rotors or loses its path",
+                fix="smaller --speed or --tilt; another --piece",
+            )
+        logs.append(log)
+    return sum(logs[1:], start=logs[0])
+
+
+def _naive(wish: Subject, limits: Limits, candidates: Mapping[str, Flown], seconds: float) -> Dataset:
+    """Half hover, half figure of eight, as a pilot would who is asked for data (to and fro, where it cannot be flown)."""
+    eight = candidates.get("figure_eight") or max(candidates.values(), key=lambda f: f.piece.kind == "speed")
+    n = max(round(seconds / eight.piece.seconds), 1)
+    steps = [(candidates["hover"].piece, 1.0)] * ((n + 1) // 2) + [(eight.piece, eight.amplitude)] * (n // 2)
+    return _fly(wish, limits, [steps])
