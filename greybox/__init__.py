@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 _PUBLIC = {
     "read_log": "greybox.data.logs",
     "read_logs": "greybox.data.logs",
+    "inspect_log": "greybox.data.inspection",
     "Dataset": "greybox.data",
     "Flight": "greybox.data",
     "Segment": "greybox.data",
@@ -58,6 +59,7 @@ __all__ = [
     "discover",
     "fit",
     "fit_report",
+    "inspect_log",
     "learn",
     "load_effects",
     "load_model",
@@ -71,6 +73,7 @@ __all__ = [
 if TYPE_CHECKING:
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
+    from greybox.data.inspection import inspect_log
     from greybox.data.logs import read_log, read_logs
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
