@@ -21,6 +21,7 @@ import scipy.stats
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
 from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.screen import Score
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
@@ -31,6 +32,10 @@ CLEAR = 10.0
 """BIC difference above which a kind of noise stays."""
 TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Effects that a filter of the IMU looks like."""
+DELAYS = ("sensor_delay", "pose_delay")
+"""Those of them that nothing but a filter tells from one on slow signals."""
+IMU = ("p", "q", "r", "ax", "ay", "az")
+"""Innovations of gyro and accelerometer."""
 FILTER = 0.004
 """Start value of the filter's time constant [s]."""
 START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
@@ -81,12 +86,9 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     or it and one of the rival's effects to the rival.
 
     `at` is the fit without either. None where the IMU is filtered already, or is not there, or the filter does not win.
-    It is not asked where the rival leaves the IMU's innovations white: a filter colours the noise in front of it.
     """
     physics: Any = white(nest.candidates.model)
     sensors = {s.name for s in physics.sensors}
-    if not any(n.split(".")[0] in ("gyro", "accelerometer") for n in suspicious(rival.fit)):
-        return None
     had = parts_of(nest.candidates.model)
     parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
     if not parts or any(p.kind == "low_pass" for p in had):
@@ -107,6 +109,19 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
         if not any(r.converged and r.bic < rival.bic - CLEAR for r in filtered.refits(with_one)):
             return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
+
+
+def may_be_filtered(rival: NestedFit, scores: Sequence[Score], alpha: float) -> bool:
+    """Whether a filter of the IMU may stand behind the effect of timing that `rival` added; `scores` were taken after it.
+
+    An effect that is there leaves nothing of its kind to find; one that stands in for a filter has another slope: further
+    effects of timing pass, or the IMU's innovations have the colour of the noise in front of the filter.
+    """
+    if set(DELAYS) & set(rival.effects):
+        return True
+    if any(s.name in TIMING and s.judged and s.p_family <= alpha for s in scores):
+        return True
+    return any(n in IMU for n in suspicious(rival.fit))
 
 
 def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:

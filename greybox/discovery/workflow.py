@@ -31,11 +31,13 @@ from greybox.discovery.sensor_noise import (
     coloured_sensors,
     dressed,
     filtered_imu,
+    may_be_filtered,
     parts_of,
     plain_model,
     sensor_table,
 )
 from greybox.discovery.spectrum import Spectrum, spectrum
+from greybox.discovery.stability import Stability, stability
 from greybox.discovery.verify import gap_rows, verified, with_proposals
 from greybox.discovery.veto import HeldOut, Withheld
 from greybox.errors import GreyboxError, UnknownNameError
@@ -78,6 +80,7 @@ class Discovery:
     errors: tuple[list[dict[str, Any]], ...] = ()
     sensors: tuple[Mapping[str, Any], ...] = ()
     plain: IdentifiedModel | None = None
+    stability: tuple[Stability, ...] = ()
 
     @property
     def model(self) -> IdentifiedModel:
@@ -189,6 +192,7 @@ class Discovery:
                 "before": None if self.before is None else self.before.gain,
                 "after": None if self.leftover is None else self.leftover.gain,
             },
+            "stability": [s.to_dict() for s in self.stability],
             "held_out_errors": [
                 {"added": added, "errors": rows}
                 for added, rows in zip(([], *(list(a.effects) for a in self.additions)), self.errors, strict=False)
@@ -348,6 +352,14 @@ def discover(
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not named & set(w.effects)]
     before = promote(null.fit, train, seed=seed, iterations=12) if at is not null else leftover
+    say("flight by flight", 0.88)
+    steady = stability(nest, at, additions)
+    warnings += [
+        f"{s.name} differs between the flights (p {s.p_value:.2g}): "
+        + ", ".join(f"{f} {v:.4g} +- {e:.2g}" for f, (v, e) in s.flights.items())
+        + f" {s.unit}".rstrip()
+        for s in steady if s.differs
+    ]  # fmt: skip
     say("gap", 0.9)
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
@@ -369,7 +381,7 @@ def discover(
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
         withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),
-        plain=plain_model(at.fit, train),
+        plain=plain_model(at.fit, train), stability=tuple(steady),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 
@@ -425,9 +437,9 @@ class _Search:
         if before is not None:
             filters |= before.filters
             at, additions, warnings = prune(nest, at, before.additions, single=True)
+        ready: list[Score] | None = None
         for step in range(self.max_effects + 1):
-            self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
-            scores = nest.screen(at, alpha=self.alpha, seed=self.seed)
+            scores, ready = ready or self._screen(nest, at, step), None
             if step == self.max_effects:
                 if any(s.judged and s.p_family <= self.alpha for s in scores):
                     warnings.append(f"stopped at {self.max_effects} additions: more would pass the tests")
@@ -436,13 +448,16 @@ class _Search:
             withheld += refused_now
             if found is None:
                 break
-            # A filter of the IMU looks like a lag or a delay.
-            instead = filtered_imu(nest, at, found.after) if set(TIMING) & set(found.effects) else None
-            if instead is not None:
-                self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
-                nest, at, gains = instead
-                filters |= gains
-                continue
+            if set(TIMING) & set(found.effects):
+                # A filter of the IMU looks like a lag or a delay.
+                ready = self._screen(nest, found.after, step + 1)
+                instead = filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
+                if instead is not None:
+                    self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
+                    nest, at, gains = instead
+                    filters |= gains
+                    ready = None
+                    continue
             self.say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
             additions.append(found)
             at = found.after
@@ -452,6 +467,10 @@ class _Search:
             nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
             filters=filters,
         )  # fmt: skip
+
+    def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
+        self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
+        return nest.screen(at, alpha=self.alpha, seed=self.seed)
 
 
 def _earned(

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from greybox.report import figures
 from greybox.report.discover_figures import band_map, evidence, paired_bars, regime_map
+from greybox.report.discover_sections import flights_section, sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import number, p_value, rounded
@@ -39,7 +40,9 @@ def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> 
     _where(report, content)
     _which(report, content)
     _added(report, content)
+    flights_section(report, content)
     _withheld(report, content)
+    sensors_section(report, content)
     _gap(report, content)
     _power(report, content)
     _next(report, content)

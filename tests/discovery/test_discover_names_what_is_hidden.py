@@ -66,6 +66,20 @@ def test_its_parameters_are_within_their_error_bars(damped: tuple[Discovery, lis
         assert p["unit"] == "N m s"
 
 
+def test_every_flight_gives_the_named_effect_the_same_numbers(damped: tuple[Discovery, list[Discovery], list[str]]):
+    content = damped[0].to_dict()
+    rows = {r["parameter"]: r for r in content["stability"]}
+    shared = content["effects"][0]["parameters"]
+    assert set(rows) == {f"rotational_damping.{n}" for n in shared}
+    for name, p in shared.items():
+        row = rows[f"rotational_damping.{name}"]
+        assert row["p_value"] > 1e-3
+        values = [v["value"] for v in row["flights"].values()]
+        assert len(values) == 2
+        assert min(values) <= p["value"] <= max(values)
+    assert not any("differs between" in w for w in content["warnings"])
+
+
 def test_the_gap_of_the_rate_closes_on_flights_that_were_not_searched(
     damped: tuple[Discovery, list[Discovery], list[str]],
 ):

@@ -178,3 +178,25 @@ def test_hostile_names_are_shown_not_run():
     page = discover_report(given)
     assert "<script" not in page
     tree(page)
+
+
+def test_what_only_the_sensors_do_stands_apart_from_physics():
+    filtered = [
+        {"channel": c, "kind": "low_pass", "parameters": {"T": 0.004, "cutoff": 39.8, "sigma": 0.01}, "delta_bic": 812.0}
+        for c in ("p", "q")
+    ]
+    white = {"channel": "x", "kind": "white", "parameters": {"sigma": 0.001}, "delta_bic": None}
+    page = discover_report(content() | {"sensors": [*filtered, white]})
+    assert "a low-pass filter" in page
+    assert "cut-off 39.8 Hz" in page
+    assert "812" in page
+    assert "What only the sensors do" not in discover_report(content() | {"sensors": [white]})
+
+
+def test_flights_that_disagree_are_marked():
+    row = {"parameter": "motor_lag.tau", "unit": "s", "spread": 0.01}
+    flights = {"a": {"value": 0.03, "std": 0.001}, "b": {"value": 0.05, "std": 0.001}}
+    page = discover_report(content() | {"stability": [row | {"flights": flights, "p_value": 1e-9}]})
+    assert "differs" in page
+    assert "0.0300" in page
+    assert ">agrees<" in discover_report(content() | {"stability": [row | {"flights": flights, "p_value": 0.4}]})

@@ -1,0 +1,84 @@
+"""Sections of the page of a discovery beside the names: what only the sensors do, and what each flight says alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from greybox.report.html import Cell, Report, Tag
+from greybox.report.words import number, p_value, rounded
+
+DIFFERENT = 1e-3
+"""Probability under equal values below which flights are said to differ, as in discovery.json's warnings."""
+KINDS = {
+    "coloured": "correlated noise", "line": "a line in the spectrum", "low_pass": "a low-pass filter",
+    "delay": "a delay", "drift": "a drifting bias",
+}  # fmt: skip
+UNITS = {
+    "T": ("time constant", "s"),
+    "cutoff": ("cut-off", "Hz"),
+    "frequency": ("frequency", "Hz"),
+    "delay": ("delay", "s"),
+}
+ADVICE = {
+    "low_pass": "log the IMU with a higher cut-off; what would look like a slower rotor is the filter.",
+    "line": "a line is a vibration or its alias: balance the rotors, mount the IMU softly, or log it faster.",
+    "delay": "compare it with the data sheet of the tracking system or with the time stamps.",
+    "coloured": "correlated noise makes naive error bars too small; those of this page allow for it.",
+    "drift": "let the sensor warm up, or leave the bias free per flight.",
+}
+
+
+def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
+    """One row per sensor and kind of `content["sensors"]` that is not white; nothing where all are."""
+    rows = [s for s in content.get("sensors", ()) if s["kind"] != "white"]
+    if not rows:
+        return
+    report.section("What only the sensors do")
+    report.paragraph(
+        "These are not forces or torques: each stays in the channels of its sensor, while a force or torque reaches every "
+        "channel that the motion couples. They are part of the noise that the names above were tested against."
+    )
+    groups: dict[tuple[str, str, float | None], list[Mapping[str, Any]]] = {}
+    for s in rows:
+        groups.setdefault((s["channel"].split(".")[0], s["kind"], s["delta_bic"]), []).append(s)
+    cells: list[list[Cell]] = [
+        [", ".join(s["channel"] for s in members), KINDS[kind], _numbers(members), number(gain, 3)]
+        for (_, kind, gain), members in groups.items()
+    ]
+    report.table(["channels", "what", "estimates", "BIC gained"], cells, numeric=(3,))
+    report.bullets([f"{KINDS[k]}: {ADVICE[k]}" for k in dict.fromkeys(s["kind"] for s in rows)])
+
+
+def _numbers(members: Sequence[Mapping[str, Any]]) -> str:
+    out = []
+    for key, (word, unit) in UNITS.items():
+        values = [float(s["parameters"][key]) for s in members if s["parameters"].get(key) is not None]
+        if values:
+            low, high = number(min(values), 3), number(max(values), 3)
+            out.append(f"{word} {low if low == high else f'{low} to {high}'} {unit}")
+    sizes = [float(s["parameters"]["sigma"]) for s in members if s["parameters"].get("sigma")]
+    if sizes:
+        low, high = number(min(sizes), 3), number(max(sizes), 3)
+        out.append(f"standard deviation {low if low == high else f'{low} to {high}'}")
+    return "; ".join(out)
+
+
+def flights_section(report: Report, content: Mapping[str, Any]) -> None:
+    """Values of the named parameters flight by flight, of `content["stability"]`; nothing where there is none."""
+    rows = content.get("stability", ())
+    if not rows:
+        return
+    flights = list(dict.fromkeys(f for r in rows for f in r["flights"]))
+    cells: list[list[Cell]] = []
+    for r in rows:
+        row: list[Cell] = [r["parameter"]]
+        for f in flights:
+            value, std = rounded(r["flights"][f]["value"], r["flights"][f]["std"]) if f in r["flights"] else ("", "")
+            row.append(f"{value} \N{PLUS-MINUS SIGN} {std}" if value else "")
+        differs = r["p_value"] < DIFFERENT
+        cells.append([*row, r["unit"], p_value(r["p_value"]), Tag(text="differs") if differs else "agrees"])
+    report.table(
+        ["parameter", *flights, "unit", "p", ""], cells, numeric=tuple(range(1, len(flights) + 1)),
+        caption="Each training flight alone. p: how likely flights with one true value differ as much (Cochran's Q).",
+    )  # fmt: skip
