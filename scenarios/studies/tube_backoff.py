@@ -29,7 +29,6 @@ from greybox.model.identified import IdentifiedModel
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.ipopt import IpoptSolver
 from scenarios.courses import TRAINING_SEEDS
-from scenarios.studies import tube_mpc
 from scenarios.studies.tube_mpc import PROBLEM, controller, flight, models
 
 Array = NDArray[np.float64]
@@ -96,12 +95,16 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
 
 def backoffs(model: IdentifiedModel, deviations: float) -> dict[str, Array]:
     """(N, planes + 1) Mean back-offs along a flight: consider states, white learned error, worst case."""
-    kinds: dict[str, dict[str, bool]] = {"consider": {}, "white": {"white": True}, "worst case": {"worst": True}}
+    kinds: dict[str, dict[str, Any]] = {"consider": {}, "white": {"white": True}, "worst case": {"worst": True}}
     found = {}
     for name, choice in kinds.items():
-        pilot = tube_mpc.controller(model, deviations=deviations, **choice)  # type: ignore[arg-type]
+        pilot = controller(model, deviations=deviations, **choice)
         rows: list[Array] = []
-        flight(pilot, SEED, at=lambda _k, _p, flown, rows=rows: rows.append(flown.solver.data["backoff"][1:].copy()))
+
+        def at(_k: int, _p: Any, flown: TubeController, rows: list[Array] = rows) -> None:
+            rows.append(flown.solver.data["backoff"][1:].copy())
+
+        flight(pilot, SEED, at=at)
         seen = np.array(rows)
         there = seen > 1e-9
         found[name] = np.where(there, seen, 0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
