@@ -1,0 +1,241 @@
+"""What is particular to one system: stamps and types of ROS, headers of blackbox files, structs, units and signs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from greybox.data.inspection import inspect_log
+from greybox.data.logs import read_table
+from greybox.data.readers import format_of, read_recording
+from greybox.errors import GreyboxError
+from tests.data.readers import writers as w
+
+N = 200
+
+
+def mapping(folder: Path, text: str) -> Path:
+    path = folder / "map.toml"
+    path.write_text('schema = "greybox.mapping/1"\n' + text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.bin", b"ULog\x01\x12\x35\x01" + bytes(8), "ulog"),
+        ("a.txt", b"H Product:Blackbox flight data recorder\n", "betaflight"),
+        ("LOG07", b"\xbc\x02\x00\x01\x00", "crazyflie"),
+        ("a.csv", b"PAR1....", "parquet"),
+        ("a", b"MATLAB 5.0 MAT-file, Platform", "matlab"),
+        ("a", b"\x89MCAP0\r\n", "ros"),
+        ("a", b"#ROSBAG V2.0\n", "ros"),
+        ("a.xyz", b"t,u1\n", "csv"),
+        ("a.csv.gz", b"\x1f\x8b", "csv"),
+    ],
+)
+def test_a_format_is_known_by_its_bytes_whatever_its_name(
+    name: str, content: bytes, expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert format_of(tmp_path / name).name == expected
+
+
+# ROS ----------------------------------------------------------------------------------------------------------------
+
+
+def test_header_stamps_are_taken_and_the_reception_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    path = w.write_ros(tmp_path / "f.bag", w.channels(rows=N), kind="bag", received_late=0.03)
+    streams = read_recording(path).streams
+    assert "header stamp (received 30 ms later" in streams["/imu"].clock
+    assert streams["/motors"].clock == "time of reception"
+    np.testing.assert_allclose(np.diff(streams["/imu"].t), 0.01, atol=1e-6)
+
+
+def test_a_bag_file_inside_its_folder_and_on_its_own_are_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    folder = w.write_ros(tmp_path / "bag", w.channels(rows=N), kind="mcap")
+    named = mapping(tmp_path, w.ROS_MAPPING.partition("\n")[2])
+    whole = read_table(folder, mapping=named)
+    alone = read_table(next(folder.glob("*.mcap")), mapping=named)
+    np.testing.assert_array_equal(whole.channels["p"], alone.channels["p"])
+    np.testing.assert_array_equal(whole.channels["u3"], alone.channels["u3"])
+
+
+def test_json_in_mcap_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    from mcap.writer import Writer
+
+    path = tmp_path / "j.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(name="State", encoding="jsonschema", data=b"{}")
+        channel = writer.register_channel(topic="/state", message_encoding="json", schema_id=schema)
+        for k in range(50):
+            message = {"gyro": [0.1 * k, 0.0, -0.1], "motors": {"front": 0.5, "rear": 0.6}, "mode": "hover"}
+            stamp = 10_000_000 * k
+            writer.add_message(channel, log_time=stamp, publish_time=stamp, data=json.dumps(message).encode())
+        writer.finish()
+    found = read_recording(path).streams["/state"]
+    assert set(found.fields) == {"gyro[0]", "gyro[1]", "gyro[2]", "motors.front", "motors.rear"}
+    assert found.unread == ("mode",)
+    named = mapping(
+        tmp_path,
+        '[rate]\nstream = "/state"\nfields = ["gyro[0]", "gyro[1]", "-gyro[2]"]\n'
+        '[command]\nstream = "/state"\nfields = ["motors.front", "motors.rear"]\n',
+    )
+    raw = read_table(path, mapping=named)
+    np.testing.assert_allclose(raw.channels["p"], 0.1 * np.arange(50))
+    assert raw.channels["r"][0] == 0.1
+    assert raw.channels["u2"][0] == 0.6
+
+
+# Betaflight ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        ({}, {"p": 1.0, "u1": 1.0}),
+        ({"gyro_scale": "0x3d79c190"}, {"p": 0.0609756, "u1": 1.0}),
+        ({"motorOutput": "100,1100", "minthrottle": "1000"}, {"p": 1.0, "u1": 1999 / 1000}),
+    ],
+)
+def test_headers_say_what_the_counts_are(headers: dict[str, str], expected: dict[str, float], tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    c = w.channels(rows=N)
+    raw = read_table(w.write_betaflight(tmp_path / "f.bbl", c, headers=headers))
+    measured, known = raw.channels["p"], np.deg2rad(np.rint(np.rad2deg(c["p"])))
+    np.testing.assert_allclose(measured, known * expected["p"], atol=1e-6)
+    assert np.ptp(raw.channels["u1"]) == pytest.approx(np.ptp(c["u1"]) * expected["u1"], abs=2e-3)
+
+
+def test_rotor_speed_and_an_old_battery_field_need_their_headers(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    n = 60
+    fields = {"time": 1e3 * np.arange(n), "eRPM[0]": np.full(n, 350), "eRPM[1]": np.full(n, 420)}
+    fields |= {"vbatLatest": np.full(n, 165), **{f"gyroADC[{i}]": np.zeros(n) for i in range(3)}}
+    path = tmp_path / "f.bbl"
+    path.write_bytes(w.blackbox_bytes(fields, {"motor_poles": "14", "Firmware revision": "Betaflight 4.3.0 (abc) S"}))
+    raw = read_table(path)
+    assert raw.channels["omega1"][0] == pytest.approx(35000 / 7 * np.pi / 30)
+    assert raw.channels["vbat"][0] == pytest.approx(1.65)
+    path.write_bytes(w.blackbox_bytes(fields, {"Firmware revision": "Betaflight 3.5.7 (abc) S"}))
+    raw = read_table(path)
+    assert "vbat" not in raw.channels and "omega1" not in raw.channels
+    assert any("no fixed unit before Betaflight 4.0" in n for n in raw.notes)
+    assert any("motor_poles is not in the header" in n for n in raw.notes)
+
+
+def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    parts = [w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=rows)).read_bytes() for rows in (60, N, 90)]
+    (tmp_path / "all.bbl").write_bytes(b"".join(parts))
+    raw = read_table(tmp_path / "all.bbl")
+    assert raw.n == N
+    assert any("flight 2 of the 3" in n for n in raw.notes)
+
+
+# Crazyflie ----------------------------------------------------------------------------------------------------------
+
+
+def test_events_of_two_rates_meet_and_a_check_sum_that_is_wrong_is_told(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+    stamps = np.rint(c["t"] * 1e6)
+    gyro = np.column_stack([np.rad2deg(c[k]) for k in "pqr"])
+    euler = np.column_stack([10.0 + 0 * c["t"], 20.0 + 0 * c["t"], 30.0 + 0 * c["t"]])[::5]
+    events = [
+        ("fast", [("gyro.x", "f"), ("gyro.y", "f"), ("gyro.z", "f")], stamps, gyro),
+        ("slow", [("stabilizer.roll", "f"), ("stabilizer.pitch", "f"), ("stabilizer.yaw", "f")], stamps[::5], euler),
+    ]
+    path = tmp_path / "log01"
+    content = bytearray(w.usd_bytes(events))
+    path.write_bytes(content)
+    raw = read_table(path)
+    assert np.isfinite(raw.channels["qw"]).sum() == N / 5
+    # Roll 10, nose up 20 (the firmware's sign), yaw 30 degrees: ZYX with pitch -20.
+    half = np.deg2rad([5.0, -10.0, 15.0])
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+    expected = [
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    ]
+    np.testing.assert_allclose([raw.channels[k][0] for k in ("qw", "qx", "qy", "qz")], expected, atol=1e-6)
+    content[-1] ^= 1
+    path.write_bytes(content)
+    assert any("check sum is wrong" in n for n in read_table(path).notes)
+
+
+# Tables -------------------------------------------------------------------------------------------------------------
+
+
+def test_structs_and_matrices_of_matlab_are_columns(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    t = 0.01 * np.arange(N)
+    gyro = np.column_stack([t, 2 * t, 3 * t])
+    content: dict[str, Any] = {
+        "imu": {"time": t, "gyro": gyro.T},
+        "motor": np.full((N, 4), 0.5),
+        "gps": np.zeros(7),
+        "name": "quad",
+    }
+    savemat(tmp_path / "f.mat", content)
+    named = mapping(
+        tmp_path,
+        '[time]\nfield = "imu.time"\n[rate]\nfields = ["imu.gyro[0]", "imu.gyro[1]", "imu.gyro[2]"]\n'
+        '[command]\nfields = ["motor[0]", "motor[1]", "motor[2]", "motor[3]"]\n',
+    )
+    raw = read_table(tmp_path / "f.mat", mapping=named)
+    np.testing.assert_allclose(raw.channels["r"], 3 * t)
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(500))
+    with pytest.raises(GreyboxError, match="'-v7'"):
+        read_table(tmp_path / "new.mat")
+
+
+def test_times_and_lists_of_parquet_are_columns(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    stamps = [1_700_000_000_000_000 + 10_000 * k for k in range(N)]
+    table = pa.table(
+        {
+            "timestamp": pa.array(stamps, type=pa.timestamp("us")),
+            "gyro": pa.array([[0.1, 0.2, 0.3]] * N, type=pa.list_(pa.float32())),
+            "u1": pa.array([0.5, None] * (N // 2)),
+            "mode": ["hover"] * N,
+        }
+    )
+    pq.write_table(table, tmp_path / "f.parquet")
+    named = mapping(tmp_path, '[rate]\nfields = ["gyro[0]", "gyro[1]", "gyro[2]"]\n')
+    raw = read_table(tmp_path / "f.parquet", mapping=named)
+    np.testing.assert_allclose(np.diff(raw.t), 0.01, atol=1e-6)
+    np.testing.assert_allclose(raw.channels["q"], 0.2, atol=1e-7)
+    assert np.isnan(raw.channels["u1"]).sum() == N / 2
+
+
+def test_a_smoothed_channel_of_a_mapping_never_starts_a_prediction(tmp_path: Path) -> None:
+    path = w.write_csv(tmp_path / "f.csv", w.own_columns(w.channels(rows=N)))
+    named = mapping(
+        tmp_path, '[time]\nfield = "time_ms"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\ncausal = false\n'
+    )
+    assert read_table(path, mapping=named).noncausal == {"p", "q", "r"}
+    left_out = mapping(
+        tmp_path, '[rate]\nuse = false\n[time]\nfield = "time_ms"\n[command]\nfields = ["pwm1", "pwm2"]\n'
+    )
+    assert set(read_table(path, mapping=left_out).channels) == {"u1", "u2"}
+
+
+def test_inspect_shows_a_log_of_another_number_of_rotors(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+    six = {**{k: c[k] for k in ("t", "p", "q", "r")}, **{f"u{i}": c["u1"] for i in range(1, 7)}}
+    found = inspect_log(w.write_csv(tmp_path / "f.csv", six))
+    assert found.groups[0].channels == ("u1", "u2", "u3", "u4", "u5", "u6")
