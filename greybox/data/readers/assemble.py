@@ -145,6 +145,12 @@ def clock_of(recording: Recording, chosen: Mapping[str, Source], mapping: LogMap
 
 def assemble(recording: Recording, mapping: LogMapping | None = None) -> Table:
     """One table of canonical channels. Raises `DataError` and `UnknownNameError` (see `choose`, `clock_of`)."""
+    # Damaged logs hold numbers of any size; what overflows is infinite and refused by name later.
+    with np.errstate(all="ignore"):
+        return _assembled(recording, mapping)
+
+
+def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     chosen = choose(recording, mapping)
     clock = clock_of(recording, chosen, mapping)
     base = recording.streams[clock.stream]
