@@ -1,20 +1,21 @@
 """The command line: `greybox COMMAND ...`. Each command is one file in greybox/commands with `add` and `run`.
 
 Exit codes: 0 done, 1 done and the answer is no (a check that found blocking faults, a fit that did not converge),
-2 bad input or usage (one line on standard error), 130 interrupted.
+2 bad input or usage (one line on standard error), 130 interrupted (what was done until then is kept).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 COMMANDS = (
     "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
-    "discover", "compare", "export", "mpc", "effects", "cite",
+    "discover", "compare", "export", "mpc", "effects", "cite", "completion",
 )  # fmt: skip
 
 
@@ -27,14 +28,29 @@ def _version() -> str:
 def build_parser() -> argparse.ArgumentParser:
     """The argument parser with all commands."""
     parser = argparse.ArgumentParser(
-        prog="greybox", description="From flight logs to a model that a controller trusts."
+        prog="greybox",
+        description="From flight logs to a model that a controller trusts.",
+        epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a fit that did not converge); 2 bad "
+        "input or usage, one line says what; 130 interrupted, what was done until then is kept.",
     )
     parser.add_argument("--version", action="version", version=_version())
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.add_argument(
+        "--quiet", action="store_true", help="no progress, no tables: only errors, --json - and the exit code"
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
         importlib.import_module(f"greybox.commands.{name}").add(commands)
     return parser
+
+
+@contextlib.contextmanager
+def _hush(arguments: argparse.Namespace) -> Iterator[None]:
+    """Nothing on standard error; nothing on standard output either, unless a file was asked for there."""
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stderr(nowhere), contextlib.ExitStack() as stack:
+        if getattr(arguments, "json", None) != "-" and arguments.command != "completion":
+            stack.enter_context(contextlib.redirect_stdout(nowhere))
+        yield
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     arguments = build_parser().parse_args(argv)
     try:
-        return int(arguments.run(arguments))
+        with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
+            return int(arguments.run(arguments))
     except GreyboxError as error:
         if arguments.debug:
             raise

@@ -66,3 +66,7 @@ class UnknownNameError(GreyboxError, KeyError):
 
 class FitError(GreyboxError, RuntimeError):
     """An estimate could not be computed at all (a fit that merely did not converge is a status, not an error)."""
+
+
+class MissingExtraError(GreyboxError, ImportError):
+    """A library that comes with an optional extra is not installed."""

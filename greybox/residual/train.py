@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from greybox.errors import GreyboxError, ModelError, UnknownNameError
+from greybox.errors import MissingExtraError, ModelError, UnknownNameError
 from greybox.residual import sparse
 from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
 from greybox.residual.judgement import judge, points_curve
@@ -37,10 +37,6 @@ NOISE = ("white", "per-group", "auto")
 REACH = 1.5
 """The linear part is faded out from this multiple of the largest training input on."""
 POLISH_SAMPLES = 2000
-
-
-class MissingExtraError(GreyboxError, ImportError):
-    """Training was asked for where PyTorch and GPyTorch are not installed."""
 
 
 def _torch() -> Any:

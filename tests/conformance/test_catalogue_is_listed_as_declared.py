@@ -11,9 +11,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from greybox.commands import cite, effects
+from greybox.commands import cite, effects, effects_output
 from greybox.errors import FileFormatError, UnknownNameError
 from greybox.model.effects import CATALOGUE
+from greybox.model.example import example_vehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -33,7 +34,7 @@ def valid(result):
 
 
 def test_the_docs_page_is_up_to_date():
-    assert (ROOT / "docs" / "effects.md").read_text() == effects.markdown(), (
+    assert (ROOT / "docs" / "effects.md").read_text() == effects_output.markdown(), (
         "write it again: python -m greybox.commands.effects --markdown > docs/effects.md"
     )
 
@@ -46,7 +47,7 @@ def test_the_docs_writer_runs_as_its_page_says():
         cwd=ROOT,
         check=True,
     )
-    assert done.stdout == effects.markdown()
+    assert done.stdout == effects_output.markdown()
 
 
 def test_json_holds_the_whole_catalogue_and_fits_its_schema(capsys):
@@ -67,7 +68,7 @@ def test_the_terminal_shows_every_effect_with_its_units_and_sources(capsys):
     shown = capsys.readouterr().out
     for effect in CATALOGUE:
         assert f"  {effect.name}: {effect.summary}" in shown
-        assert all(f"{p.name} [{p.unit}]" in shown for p in effect.parameters(effects.example_vehicle()))
+        assert all(f"{p.name} [{p.unit}]" in shown for p in effect.parameters(example_vehicle()))
     assert max(map(len, shown.splitlines())) <= 120
 
 
