@@ -150,7 +150,7 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         lines += ["", "ROTORS of the log, for the vehicle file"]
         for r in content["rotors"]:
             x, y, z = r["position"]
-            lines.append(f"  [[rotor]] position = [{x:.4g}, {y:.4g}, {z:.4g}], spin = {r['spin']}")
+            lines += ["  [[rotor]]", f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]", f"  spin = {r['spin']}"]
     if content["notes"]:
         lines += ["", "NOTES", *(f"  {n}" for n in content["notes"])]
     return "\n".join(lines)

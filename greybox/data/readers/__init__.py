@@ -18,7 +18,7 @@ from greybox.data.readers.csv_table import FORMAT as CSV
 from greybox.data.readers.mapping import LogMapping, read_mapping
 from greybox.data.readers.matlab import FORMAT as MATLAB
 from greybox.data.readers.parquet import FORMAT as PARQUET
-from greybox.data.readers.recording import LogFormat, Recording, Source, Stream, checked_file
+from greybox.data.readers.recording import LogFormat, Recording, Source, Stream
 from greybox.data.readers.ros import FORMAT as ROS
 from greybox.data.readers.ulog import FORMAT as ULOG
 from greybox.errors import DataError
@@ -78,7 +78,6 @@ def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = No
     one = format_of(path)
     where = os.fspath(path)
     if one.recording is not None:
-        checked_file(Path(path))
         return one.recording(Path(path))
     assert one.table is not None
     table: Table = one.table(path)
