@@ -27,6 +27,8 @@ def add(subparsers: Any) -> None:
                    "the model itself, disturbed; Python code that is run, only what you trust)")  # fmt: skip
     p.add_argument("--log", nargs="+", default=[], metavar="LOG", help="real flights whose unexplained force and torque "
                    "disturb the model (default: the identified process noise)")  # fmt: skip
+    p.add_argument("--course", default="scenarios.courses:OBSTACLE_COURSE", metavar="MODULE:ATTRIBUTE", help="path and "
+                   "limits, a scenarios.courses.Course (default: a wall, a gap, a low ceiling)")  # fmt: skip
     p.add_argument("--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)")
     p.add_argument("--level", type=float, default=0.1, metavar="P", help="share of flights that may cross a "
                    "limit (default 0.1)")  # fmt: skip
@@ -77,10 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
     ours = sys.argv[1:2] == ["mpc"]
     command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
     flown = prepare(
-        arguments.subject, out, plant=arguments.plant, logs=arguments.log, pace=arguments.pace,
+        arguments.subject, out, plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
         flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
     )  # fmt: skip
-    campaign, watched = flown.campaign, flown.seeds[:WATCHED]
+    campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
 
     def report(warnings: list[str]) -> dict[str, Any]:
         rows = kept(campaign, flown.entries, flown.seeds)
@@ -93,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
         return content
 
     try:
-        flights(campaign, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=say)
+        flights(flown.hangar, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=say)
     except KeyboardInterrupt:
         report(["The run was interrupted: run the same command again to go on."])
         raise

@@ -31,14 +31,24 @@ from greybox.model.vehicle import read_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import learn
-from scenarios.courses import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, vehicle
+from scenarios.courses import JUDGING_SEEDS, TRAINING_SEEDS, vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants.flight_log import fly, write_log
 from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
-from scenarios.studies.mpc_campaign import NEAR, Campaign, Entry, flights, make_folder, tuned, write_segments
-from scenarios.studies.mpc_flights import natural_pace
+from scenarios.studies.mpc_campaign import (
+    NEAR,
+    OBSTACLES,
+    Campaign,
+    Entry,
+    Hangar,
+    flights,
+    make_folder,
+    tuned,
+    write_segments,
+)
+from scenarios.studies.mpc_flights import load_course, natural_pace
 from scenarios.studies.mpc_plant import real_disturbances
 from scenarios.studies.tube_mpc import EFFECTS, ERRORS, HELD, SIGMA
 
@@ -49,7 +59,8 @@ SECONDS, POINTS = 40.0, 40
 FEATURES = (
     "body_velocity.x", "body_velocity.y", "body_velocity.z", "p", "q", "r", "nu1", "nu2", "nu3", "nu4",
 )  # fmt: skip
-LEAST_TUNING, MOST_TUNING = 6, 20
+TUNING = 10
+"""Training flights on which touched limits are counted and the constant back-off is chosen."""
 
 
 def identify(out: Path, say: Say = print) -> dict[str, Path]:
@@ -88,9 +99,9 @@ def identify(out: Path, say: Say = print) -> dict[str, Path]:
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """Everything that a report needs: the campaign, its controllers, rows, what was tuned, and words about it."""
+    """Everything that a report needs: the campaign's hangar, its controllers, what was tuned, and words about it."""
 
-    campaign: Campaign
+    hangar: Hangar
     entries: tuple[Entry, ...]
     tuning: dict[str, float]
     what: dict[str, Any]
@@ -98,7 +109,8 @@ class Flown:
 
 
 def prepare(
-    subject: str, out: Path, *, plant: str | None = None, logs: Sequence[str] = (), pace: float | None = None,
+    subject: str, out: Path, *, plant: str | None = None, logs: Sequence[str] = (), course: str = OBSTACLES,
+    pace: float | None = None,
     flights_: int = 20, level: float = 0.1, seed: int = 0, jobs: int = 1, say: Say = print,
 ) -> Flown:  # fmt: skip
     """Models, plant, controllers and tuned back-offs of `subject`: "demo" or a model file.
@@ -123,24 +135,29 @@ def prepare(
     model = _readable(main)
     kept = ""
     if logs:
-        kept = str(out / "disturbances.npz")
+        kept = str(out / "disturbances.npy")
         write_segments(Path(kept), _disturbances(model, logs))
     if pace is None:
-        pace = 1.0 if demo else natural_pace(model, OBSTACLE_COURSE)
+        pace = 1.0 if demo else natural_pace(model, load_course(course))
     used = plant or (DEMO_PLANT if demo else "model")
-    campaign = Campaign(out=out, plant=used, model=str(main), pace=pace, disturbances=kept)
-    campaign.open_plant()
+    campaign = Campaign(out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept)
+    hangar = Hangar(campaign)
     plain = Entry(
         name="hybrid" if demo else "mean",
         text="physics and Gaussian process, no tightening" if demo else "the model, no tightening",
         model=str(main),
     )
-    count = min(MOST_TUNING, max(LEAST_TUNING, flights_))
-    say(f"counting touched limits on {count} training flights")
+    say(f"counting touched limits on {TUNING} training flights")
     rows = flights(
-        campaign, [plain], TRAINING_SEEDS[1 : 1 + count], jobs=jobs, log="tuning.jsonl", near=NEAR, say=lambda _: None
+        hangar,
+        [plain],
+        TRAINING_SEEDS[1 : 1 + TUNING],
+        jobs=jobs,
+        log="tuning.jsonl",
+        near=NEAR,
+        say=lambda text: say(f"training flights: {text}"),
     )
-    tuning = {**tuned(rows, level), "flights": count}
+    tuning = {**tuned(rows, level), "flights": TUNING}
     entries = [
         Entry(name="tube", text=f"{plain.name}, limits tightened by its tube, {100 * level:g} % a flight", model=str(main),
               kappa=tuning["kappa"]),
@@ -160,7 +177,7 @@ def prepare(
     }  # fmt: skip
     first = JUDGING_SEEDS[0] * (1 + seed)
     return Flown(
-        campaign=campaign, entries=(*before, plain, *entries), tuning=tuning, what=what,
+        hangar=hangar, entries=(*before, plain, *entries), tuning=tuning, what=what,
         seeds=tuple(range(first, first + flights_)),
     )  # fmt: skip
 

@@ -7,6 +7,7 @@ OUT/traces/         what the animation shows, of the first flights
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files import OutputError, checksum, file_sha256, read_json, write_json
+from greybox.files import OutputError, checksum, file_sha256, read_json, write_atomic, write_json
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.tube.risk import kappa
@@ -29,10 +30,12 @@ from scenarios.studies.mpc_flights import (
     fitting,
     flown_with,
     fly,
+    load_course,
     mission,
 )
 from scenarios.studies.rows import append_row, read_rows
 
+OBSTACLES = "scenarios.courses:OBSTACLE_COURSE"
 NEAR = 2e-3
 """A limit that a plan comes closer to than this is touched [m]."""
 WATCHED = 3
@@ -55,18 +58,20 @@ class Entry:
 class Campaign:
     """Where and against what: plant "model" or `module:attribute`; `model` is the file whose sample time and vehicle count.
 
-    disturbances: a file of resampled disturbances (numpy archive) beside the model as the plant.
+    course: `module:attribute` too. disturbances: a file of resampled disturbances (an array) beside the model as the
+    plant.
     """
 
     out: Path
     plant: str
     model: str
     pace: float
+    course: str = OBSTACLES
     disturbances: str = ""
 
     def mission(self) -> Mission:
         """Course and problem."""
-        return mission(load_model(self.model), pace=self.pace)
+        return mission(load_model(self.model), load_course(self.course), self.pace)
 
     def open_plant(self) -> Any:
         """The plant, checked against the model. Raises `PlantError`."""
@@ -77,22 +82,24 @@ class Campaign:
 
     def key(self, entry: Entry) -> str:
         """What a row must have been flown with to count."""
-        parts = [entry.kind, entry.kappa, entry.moved, self.plant, self.pace]
+        parts = [entry.kind, entry.kappa, entry.moved, self.plant, self.pace, repr(load_course(self.course))]
         parts += [file_sha256(f) for f in (entry.model, self.model, self.disturbances) if f]
         return checksum(parts)[:16]
 
 
 def write_segments(path: Path, segments: Sequence[FloatArray]) -> None:
-    """Resampled disturbances as one file of plain arrays."""
-    make_folder(path.parent)
-    arrays: dict[str, Any] = {f"segment{i}": s for i, s in enumerate(segments)}
-    np.savez_compressed(path, **arrays)
+    """Resampled disturbances as one array, segments parted by a row of NaN: the same bytes for the same numbers."""
+    parted = [v for s in segments for v in (s, np.full((1, s.shape[1]), np.nan))]
+    stream = io.BytesIO()
+    np.save(stream, np.concatenate(parted), allow_pickle=False)
+    write_atomic(path, stream.getvalue())
 
 
 def read_segments(path: str) -> list[FloatArray]:
     """What `write_segments` wrote."""
-    with np.load(path, allow_pickle=False) as found:
-        return [np.asarray(found[f"segment{i}"], dtype=float) for i in range(len(found.files))]
+    found = np.load(path, allow_pickle=False)
+    ends = np.flatnonzero(np.isnan(found).all(axis=1))
+    return [np.asarray(found[i + 1 : j], dtype=float) for i, j in zip([-1, *ends[:-1]], ends, strict=True)]
 
 
 class Hangar:
@@ -137,7 +144,7 @@ def _flown(entry: Entry, seed: int, near: float | None, watch: bool) -> dict[str
 
 
 def flights(
-    campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int], *, jobs: int = 1, log: str = "flights.jsonl",
+    hangar: Hangar, entries: Sequence[Entry], seeds: Sequence[int], *, jobs: int = 1, log: str = "flights.jsonl",
     near: float | None = None, watched: Sequence[int] = (), say: Callable[[str], None] = print,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of all entries and seeds, those of an earlier run among them; every row is on the disk before the next flight.
@@ -145,12 +152,15 @@ def flights(
     watched: seeds whose traces are kept in OUT/traces. Flights go seed by seed, so that controllers can be compared however
     early the run is stopped.
     """
+    campaign = hangar.campaign
     path = campaign.out / log
     make_folder(campaign.out)
     rows = {(r["controller"], r["seed"]): r for r in kept(campaign, entries, seeds, log=log)}
 
+    by_name = {e.name: e for e in entries}
+
     def there(entry: Entry, seed: int) -> bool:
-        return (entry.name, seed) in rows and (seed not in watched or trace_path(campaign, entry.name, seed).exists())
+        return (entry.name, seed) in rows and (seed not in watched or trace_path(campaign, entry, seed).exists())
 
     todo = [(e, s) for s in seeds for e in entries if not there(e, s)]
     done = len(entries) * len(seeds) - len(todo)
@@ -158,10 +168,10 @@ def flights(
     if done and todo:
         say(f"{done} of {total} flights are there already")
 
-    for row in _run(campaign, todo, jobs, near, watched):
+    for row in _run(hangar, todo, jobs, near, watched):
         trace = row.pop("trace", None)
         if trace is not None:
-            write_json(trace_path(campaign, row["controller"], row["seed"]), {**trace, "key": row["key"]})
+            write_json(trace_path(campaign, by_name[row["controller"]], row["seed"]), trace)
         rows[row["controller"], row["seed"]] = row
         append_row(path, row)
         done += 1
@@ -195,16 +205,14 @@ def make_folder(path: Path) -> None:
 
 
 def _run(
-    campaign: Campaign, todo: Sequence[tuple[Entry, int]], jobs: int, near: float | None, watched: Sequence[int]
+    hangar: Hangar, todo: Sequence[tuple[Entry, int]], jobs: int, near: float | None, watched: Sequence[int]
 ) -> Iterator[dict[str, Any]]:
     if jobs <= 1 or len(todo) < 2:
-        hangar = Hangar(campaign) if todo else None
         for entry, seed in todo:
-            assert hangar is not None
             yield hangar.fly(entry, seed, near=near, watch=seed in watched)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(campaign,)) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(hangar.campaign,)) as pool:
         waiting = list(reversed(todo))
         running: set[Future[dict[str, Any]]] = set()
         try:
@@ -227,19 +235,19 @@ def told(row: dict[str, Any]) -> str:
     return f"{1e3 * abs(worst):.0f} mm {'beyond a limit' if worst < 0 else 'from the nearest limit'}"
 
 
-def trace_path(campaign: Campaign, name: str, seed: int) -> Path:
-    """Where a flight's trace is kept."""
-    return campaign.out / "traces" / f"{name}-{seed}.json"
+def trace_path(campaign: Campaign, entry: Entry, seed: int) -> Path:
+    """Where the trace of a flight with these settings is kept."""
+    return campaign.out / "traces" / f"{entry.name}-{seed}-{campaign.key(entry)}.json"
 
 
 def read_traces(campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[int]) -> dict[int, dict[str, Any]]:
-    """{seed: {controller: trace}} of what is there and was flown with the same settings."""
+    """{seed: {controller: trace}} of what is there."""
     found: dict[int, dict[str, Any]] = {}
     for seed in seeds:
         for entry in entries:
-            path = trace_path(campaign, entry.name, seed)
-            if path.exists() and (trace := read_json(path))["key"] == campaign.key(entry):
-                found.setdefault(seed, {})[entry.name] = trace
+            path = trace_path(campaign, entry, seed)
+            if path.exists():
+                found.setdefault(seed, {})[entry.name] = read_json(path)
     return found
 
 

@@ -25,7 +25,7 @@ from greybox.symbolic import FloatArray
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem, Weights
 from mpc_export.tube.stages import block
-from scenarios.courses import OBSTACLE_COURSE, Course
+from scenarios.courses import Course
 from scenarios.plants.airframe import Airframe, Rotor
 from scenarios.plants.controller import CascadeController, Setpoint
 from scenarios.studies.mpc_plant import ModelPlant
@@ -43,7 +43,7 @@ _SLOW = 0.05
 
 
 class PlantError(GreyboxError, ValueError):
-    """What --plant names is no plant that can be flown."""
+    """What --plant or --course names cannot be flown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ def natural_pace(model: IdentifiedModel, course: Course) -> float:
     return max(1.0, math.ceil(20.0 * top_speed(course) / max(fastest, 0.1)) / 20.0)
 
 
-def mission(model: IdentifiedModel, course: Course = OBSTACLE_COURSE, pace: float = 1.0) -> Mission:
+def mission(model: IdentifiedModel, course: Course, pace: float = 1.0) -> Mission:
     """The course at the sample time that suits the model."""
     chosen = paced(course, pace)
     problem = TubeProblem(
@@ -91,20 +91,36 @@ def mission(model: IdentifiedModel, course: Course = OBSTACLE_COURSE, pace: floa
 # ------------------------------------------------------------------------------------------------ plants
 
 
-def load_plant(name: str) -> Any:
-    """The plant that `module:attribute` names: a plant, or a class or function that makes one. Raises `PlantError`."""
+def named(option: str, name: str, example: str) -> Any:
+    """What `module:attribute` names, importable from here. Raises `PlantError`."""
     module, _, attribute = name.partition(":")
     if not module or not attribute:
-        raise PlantError("--plant", expected="module:attribute", got=repr(name), fix="scenarios.courses:vehicle")
+        raise PlantError(option, expected="module:attribute", got=repr(name), fix=example)
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        return getattr(importlib.import_module(module), attribute)
+    except Exception as error:
+        raise PlantError(f"{option} {name}: {type(error).__name__}: {error}", fix=f"name it like {example}") from None
+
+
+def load_course(name: str) -> Course:
+    """The course that `module:attribute` names. Raises `PlantError`."""
+    found = named("--course", name, "scenarios.courses:OBSTACLE_COURSE")
+    if not isinstance(found, Course):
+        raise PlantError(f"--course {name}", expected="a scenarios.courses.Course", got=type(found).__name__)
+    return found
+
+
+def load_plant(name: str) -> Any:
+    """The plant that `module:attribute` names: a plant, or a class or function that makes one. Raises `PlantError`."""
+    found = named("--plant", name, "scenarios.courses:vehicle")
+    try:
         plant = found() if inspect.isclass(found) or inspect.isfunction(found) else found
     except Exception as error:
         raise PlantError(
-            f"--plant {name}: {type(error).__name__}: {error}",
-            fix="name a plant as module:attribute, importable from here",
+            f"--plant {name} cannot be made: {type(error).__name__}: {error}",
+            fix="a class or function without arguments",
         ) from None
     missing = [n for n in ("reset", "step", "measure", "truth") if not callable(getattr(plant, n, None))]
     if missing:

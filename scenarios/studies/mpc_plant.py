@@ -53,16 +53,11 @@ def real_disturbances(model: IdentifiedModel, data: Dataset) -> list[FloatArray]
             fix="fit with --disturbance force,torque, or fly without --log",
         )  # fmt: skip
     edge = round(BLOCK / model.sample_time)
-    runner = Filter(model)
-    found = [
-        smooth(runner, runner.run(segment)).states[edge:-edge, rows]
-        for flight in data
-        for segment in flight.segments
-        if segment.n > 4 * edge
-    ]
-    if not found:
+    long = [segment for flight in data for segment in flight.segments if segment.n > 4 * edge]
+    if not long:
         raise ModelError("no flight is long enough to resample", expected=f"more than {4 * BLOCK:g} s")
-    return found
+    runner = Filter(model)
+    return [smooth(runner, runner.run(segment)).states[edge:-edge, rows] for segment in long]
 
 
 class ModelPlant:

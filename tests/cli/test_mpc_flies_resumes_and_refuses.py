@@ -1,0 +1,130 @@
+"""greybox mpc: flights of a model file, kept and resumed, a page and a schema; bad input is one line, nothing is left."""
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from importlib import resources
+
+import jsonschema
+import pytest
+
+from greybox.cli import main
+from greybox.residual.files import save_model
+from scenarios.studies import demo_mpc, mpc_campaign
+from tests.mpc_export import cases
+
+COURSE = ["--course", "tests.cli.short_course:SHORT", "--pace", "1"]
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("models")
+    save_model(cases.disturbed(), folder / "model.json")
+    cases.linear().save(folder / "linear.json")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flown(models, tmp_path_factory):
+    """Folder of a finished run of two flights per controller."""
+    out = tmp_path_factory.mktemp("flown")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demo_mpc, "TUNING", 2)
+        assert main(["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--out", str(out)]) == 0
+    return out
+
+
+def rows(folder):
+    return [json.loads(line) for line in (folder / "flights.jsonl").read_text().splitlines()]
+
+
+def test_result_follows_its_schema_and_counts_its_rows(flown):
+    content = json.loads((flown / "mpc.json").read_text())
+    schema = json.loads((resources.files("greybox.schemas") / "mpc.json").read_text())
+    jsonschema.validate(content, schema)
+    assert content["what"]["mode"] == "model"
+    assert list(content["controllers"]) == ["mean", "tube", "constant", "cascade"]
+    for name, c in content["controllers"].items():
+        mine = [r for r in rows(flown) if r["controller"] == name]
+        assert c["flights"] == len(mine) == 2
+        assert c["crossed"]["count"] == sum(bool(r["crossings"] or r["crashed"]) for r in mine)
+        assert c["margins"]["wall"] == pytest.approx(min(r["margins"]["wall"] for r in mine))
+    assert content["controllers"]["tube"]["kappa"] > 0
+    assert content["controllers"]["tube"]["solve_ms"]["count"] > 50
+
+
+def test_page_is_whole_and_runs_nothing_but_its_own_script(flown):
+    page = (flown / "report.html").read_text()
+    tree = ET.fromstring(page[len("<!DOCTYPE html>") :])
+    ids = [e.get("id") for e in tree.iter() if e.get("id")]
+    assert len(ids) == len(set(ids))
+    assert "http:" not in page
+    assert "https:" not in page
+    assert not any(name.startswith("on") for e in tree.iter() for name in e.attrib)
+    assert len(page.encode()) < 6_000_000
+    data = json.loads(next(e.text for e in tree.iter("script") if e.get("id") == "flight-data"))
+    assert [f["seed"] for f in data["flights"]] == [1000, 1001]
+    assert data["flights"][0]["plans"]
+
+
+def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):
+    monkeypatch.setattr(demo_mpc, "TUNING", 2)
+    before = (flown / "flights.jsonl").read_text()
+    command = ["mpc", str(models / "model.json"), *COURSE, "--out", str(flown)]
+    assert main([*command, "--flights", "3", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["controllers"]["tube"]["flights"] == 3
+    after = (flown / "flights.jsonl").read_text()
+    assert after.startswith(before)
+    assert len(after.splitlines()) == len(before.splitlines()) + 4
+
+
+def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(demo_mpc, "TUNING", 2)
+    whole = mpc_campaign.Hangar.fly
+
+    def stopped(self, entry, seed, **options):
+        if entry.name == "constant":
+            raise KeyboardInterrupt
+        return whole(self, entry, seed, **options)
+
+    monkeypatch.setattr(mpc_campaign.Hangar, "fly", stopped)
+    command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--out", str(tmp_path)]
+    assert main([*command, "--plant", "scenarios.plants.presets:nano"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert [r["controller"] for r in rows(tmp_path)] == ["mean", "tube"]
+    content = json.loads((tmp_path / "mpc.json").read_text())
+    assert content["what"]["mode"] == "plant"
+    assert content["controllers"]["constant"]["flights"] == 0
+    assert "interrupted" in content["warnings"][0]
+    page = (tmp_path / "report.html").read_text()
+    assert "interrupted" in page
+    assert "independent of the model" in page
+
+
+BAD = {
+    "no such file": ("nowhere.json", [], "no such file"),
+    "a linear model": ("linear.json", [], "linear"),
+    "level": ("model.json", ["--level", "1.5"], "--level"),
+    "flights": ("model.json", ["--flights", "0"], "--flights"),
+    "pace": ("model.json", ["--pace", "nan"], "--pace"),
+    "jobs": ("model.json", ["--jobs", "0"], "--jobs"),
+    "no such module": ("model.json", ["--plant", "nowhere:plant"], "nowhere"),
+    "no such attribute": ("model.json", ["--plant", "scenarios.courses:nothing"], "nothing"),
+    "no attribute": ("model.json", ["--plant", "scenarios.courses"], "module:attribute"),
+    "not a plant": ("model.json", ["--plant", "tests.cli.short_course:Nothing"], "reset"),
+    "a plant that cannot be placed": ("model.json", ["--plant", "tests.cli.short_course:Blind"], "position"),
+    "not a course": ("model.json", ["--course", "tests.cli.short_course:NOT_A_COURSE"], "Course"),
+    "a log beside a plant": ("model.json", ["--plant", "scenarios.courses:vehicle", "--log", "a.csv"], "--log"),
+    "no such log": ("model.json", ["--log", "nowhere.csv"], "nowhere.csv"),
+}
+
+
+@pytest.mark.parametrize("case", list(BAD))
+def test_bad_input_is_one_line(models, tmp_path, capsys, case):
+    file, options, word = BAD[case]
+    assert main(["mpc", str(models / file), *COURSE, *options, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(re.findall(r"greybox mpc: ", said.err)) == len(said.err.strip().splitlines()) == 1
+    assert word in said.err
+    assert not (tmp_path / "out").exists()
