@@ -1,4 +1,5 @@
 # make demo   own environment, install, fit the shipped real flights, write a report, print where it is
+# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (some minutes)
 # make test   own environment, install, lint, type check, all fast tests
 # make test-slow   the long studies (hours are not needed; minutes are)
 PYTHON ?= python3
@@ -20,7 +21,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: demo test test-slow lint clean install
+.PHONY: demo demo-mpc test test-slow lint clean install
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -33,6 +34,10 @@ install: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/python -m scenarios.studies.demo --out $(OUT)
 
+demo-mpc: OUT = demo_mpc_out
+demo-mpc: $(STAMP)
+	$(BIN)/python -m scenarios.studies.demo_mpc --out $(OUT) --jobs $(JOBS)
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -44,4 +49,4 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile
 
 clean:
-	rm -rf $(VENV) $(OUT) build *.egg-info
+	rm -rf $(VENV) $(OUT) demo_mpc_out build *.egg-info

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data import dataset_from_arrays
-from greybox.errors import ModelError
+from greybox.errors import MissingExtraError, ModelError
 from greybox.estimation.fit import fit
 from greybox.files import file_sha256, read_json, write_json
 from greybox.model.identified import IdentifiedModel
@@ -59,6 +59,10 @@ SECONDS, POINTS = 40.0, 40
 FEATURES = (
     "body_velocity.x", "body_velocity.y", "body_velocity.z", "p", "q", "r", "nu1", "nu2", "nu3", "nu4",
 )  # fmt: skip
+TEXTS = {
+    "nominal": "the data sheet's model", "pem": "fitted physics, no tightening",
+    "hybrid": "physics and Gaussian process, no tightening",
+}  # fmt: skip
 TUNING = 10
 """Training flights on which touched limits are counted and the constant back-off is chosen."""
 
@@ -66,7 +70,7 @@ TUNING = 10
 def identify(out: Path, say: Say = print) -> dict[str, Path]:
     """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run are taken as they are.
 
-    Also writes the vehicle file and the flight, so that `greybox fit` and `learn` can be run on them by hand.
+    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle file and the flight, so that `greybox fit` and `learn` can be run on them by hand.
     """
     files = {n: out / f"{n}.json" for n in ("nominal", "pem", "hybrid")}
     settings = {"schema": "greybox.study/1", "seconds": SECONDS, "points": POINTS, "features": list(FEATURES)}
@@ -92,7 +96,11 @@ def identify(out: Path, say: Say = print) -> dict[str, Path]:
     )
     save_model(fitted.model, files["pem"])
     say("learning what is left")
-    save_model(learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model, files["hybrid"])
+    try:
+        save_model(learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model, files["hybrid"])
+    except MissingExtraError as error:
+        say(f"the tube flies on the fitted physics: {error}")
+        return {n: files[n] for n in ("nominal", "pem")}
     write_json(done, settings)
     return files
 
@@ -128,7 +136,7 @@ def prepare(
         )
     if demo:
         files = identify(out / "models", say)
-        main = files["hybrid"]
+        main = files.get("hybrid", files["pem"])
     else:
         main = Path(subject)
         files = {"model": main}
@@ -143,8 +151,8 @@ def prepare(
     campaign = Campaign(out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept)
     hangar = Hangar(campaign)
     plain = Entry(
-        name="hybrid" if demo else "mean",
-        text="physics and Gaussian process, no tightening" if demo else "the model, no tightening",
+        name=main.stem if demo else "mean",
+        text=TEXTS[main.stem] if demo else "the model, no tightening",
         model=str(main),
     )
     say(f"counting touched limits on {TUNING} training flights")
@@ -165,10 +173,7 @@ def prepare(
               moved=tuning["moved"]),
         Entry(name="cascade", text="cascade of PID loops", kind="cascade"),
     ]  # fmt: skip
-    before = [
-        Entry(name="nominal", text="the data sheet's model", model=str(files["nominal"])),
-        Entry(name="pem", text="fitted physics", model=str(files["pem"])),
-    ] if demo else []  # fmt: skip
+    before = [Entry(name=n, text=TEXTS[n], model=str(f)) for n, f in files.items() if demo and f != main]
     what = {
         "mode": "demo" if demo else "plant" if plant else "model", "subject": subject, "plant": used, "plain": plain.name,
         "model": model.name, "model_sha256": file_sha256(main), "learned": list(_learned(model)),
