@@ -19,6 +19,7 @@ _PUBLIC = {
     "check": "greybox.data.checks",
     "read_vehicle": "greybox.model.vehicle",
     "Vehicle": "greybox.model.vehicle",
+    "check_vehicle": "greybox.model.plausibility",
     "build_model": "greybox.model.model",
     "load_effects": "greybox.model.effects_file",
     "PhysicsModel": "greybox.model.model",
@@ -32,6 +33,7 @@ _PUBLIC = {
     "save_model": "greybox.residual.files",
     "learn": "greybox.residual.learn",
     "discover": "greybox.discovery.workflow",
+    "plan": "greybox.planning.plan",
     "fit": "greybox.estimation.fit",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
@@ -55,6 +57,7 @@ __all__ = [
     "Vehicle",
     "build_model",
     "check",
+    "check_vehicle",
     "dataset_from_arrays",
     "discover",
     "fit",
@@ -63,6 +66,7 @@ __all__ = [
     "learn",
     "load_effects",
     "load_model",
+    "plan",
     "read_log",
     "read_logs",
     "read_vehicle",
@@ -83,7 +87,9 @@ if TYPE_CHECKING:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.model import PhysicsModel, build_model
     from greybox.model.parameter import Parameter, ParameterValues
+    from greybox.model.plausibility import check_vehicle
     from greybox.model.vehicle import Vehicle, read_vehicle
+    from greybox.planning.plan import plan
     from greybox.report.fit_report import fit_report
     from greybox.residual.files import load_model, save_model
     from greybox.residual.learn import learn

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Plan, write, report. Returns 0, or 1 where nothing will be known of a wanted parameter."""
     import numpy as np
 
-    from greybox.errors import GreyboxError
+    from greybox.errors import GreyboxError, ModelError
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.vehicle import read_vehicle
@@ -82,10 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.plan_report import plan_picture, plan_report
     from greybox.residual.files import load_model
 
-    if (arguments.vehicle is None) == (arguments.model is None):
+    if arguments.vehicle is None and arguments.model is None:
         raise GreyboxError(
-            "one of --vehicle and --model is needed",
-            got="neither" if arguments.model is None else "both (the model holds its vehicle)",
+            "nothing to plan for", expected="a vehicle file or a fitted model",
             fix="--vehicle V.toml before the first flight, --model model.json after it",
         )  # fmt: skip
     for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
@@ -97,7 +96,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--rate takes 10 to 2000 Hz", got=f"{arguments.rate:g}", fix="--rate 100")
     own = {e.name: e for path in arguments.effects_file for e in load_effects(path)}
     model = load_model(arguments.model, effects=own.values()) if arguments.model else None
-    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else model.physics.vehicle  # type: ignore[union-attr]
+    vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
+    if model is not None:
+        if not hasattr(model.physics, "vehicle"):
+            raise ModelError(
+                "only physics models can be planned for", got=model.name, fix="pass the model.json of greybox fit"
+            )
+        if vehicle is not None and vehicle != model.physics.vehicle:
+            print(
+                "greybox plan: the model was fitted with another vehicle file; the model's own is used", file=sys.stderr
+            )
+        vehicle = model.physics.vehicle
+    assert vehicle is not None
     limits = Limits(
         box=arguments.box, floor=arguments.floor, speed=arguments.speed, tilt=float(np.radians(arguments.tilt)),
         command=arguments.range or command_range(vehicle),

@@ -1,11 +1,12 @@
 """Does a planned flight deliver the standard errors that it promises? Many flights of one plan, each fitted.
 
 A vehicle file says what is known of a simulated craft; `greybox.planning` proposes a flight. An independent NumPy plant with
-a controller of its own flies the setpoints and injected signals as an autopilot would, with sensor and process noise, once
+a controller flies the setpoints and injected signals as an autopilot would, with sensor and process noise, once
 per seed; every log is fitted. The spread of the estimates is held against the plan's standard errors, and the same for
 hover and figure of eight of the same length, flown by the same plant.
 
-    python -m scenarios.studies.plan_errors --seeds 48
+    python -m scenarios.studies.plan_errors --seeds 64
+    python -m scenarios.studies.plan_errors --seeds 64 --autopilot other
 """
 
 from __future__ import annotations
@@ -22,13 +23,22 @@ import numpy as np
 from scenarios.excitation.signal import Array
 from scenarios.excitation.trajectory import Trajectory
 from scenarios.plants import effects as plant_effects
+from scenarios.plants.controller import Gains
 from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for, x250
+from scenarios.plants.presets import DEFAULT, controller_for, x250
 from scenarios.plants.quadrotor import Quadrotor
 from scenarios.plants.vehicle_file import write_vehicle
 
 WANTED = ("motor_lag", "rotor_drag", "rotational_damping")
 DT = 0.01
+AUTOPILOTS = {
+    "planned": Gains(
+        position=2.5, velocity=3.0, position_integral=0.0, height=2.5, climb=3.0, height_integral=0.0, attitude=60 / 13,
+        yaw=15 / 6.5, rate=13.0, yaw_rate=6.5, rate_integral=0.0, tilt_max=0.61, rate_max=50.0,
+    ),
+    "other": DEFAULT,
+}  # fmt: skip
+"""Loop gains: those that the plan was simulated with, and another autopilot's, stiffer and with integrators."""
 
 
 def plant() -> Quadrotor:
@@ -88,7 +98,12 @@ def truths(craft: Quadrotor) -> dict[str, float]:
 
 
 def spread(
-    columns: Mapping[str, Array], model: Any, free: Sequence[str], seeds: Sequence[int], noise: Mapping[str, float]
+    columns: Mapping[str, Array],
+    model: Any,
+    free: Sequence[str],
+    seeds: Sequence[int],
+    noise: Mapping[str, float],
+    gains: Gains,
 ) -> tuple[dict[str, Array], dict[str, Array], int]:
     """Estimates by name (runs,), the fits' own standard errors, and how many failed, of the flight flown once per seed."""
     from greybox.data import dataset_from_arrays
@@ -97,7 +112,7 @@ def spread(
     craft = plant()
     seconds = DT * len(columns["t"])
     logs = fly(
-        craft, controller_for(craft), Table(columns=columns), Injected(columns=columns), seconds, DT, list(seeds)
+        craft, controller_for(craft, gains), Table(columns=columns), Injected(columns=columns), seconds, DT, list(seeds)
     )
     values: dict[str, list[float]] = {}
     stds: dict[str, list[float]] = {}
@@ -113,7 +128,9 @@ def spread(
     return {n: np.array(v) for n, v in values.items()}, {n: np.array(v) for n, v in stds.items()}, failed
 
 
-def study(seeds: Sequence[int], *, seconds: float = 60.0, naive: bool = True) -> dict[str, Any]:
+def study(
+    seeds: Sequence[int], *, seconds: float = 60.0, naive: bool = True, autopilot: str = "planned"
+) -> dict[str, Any]:
     """Plan, fly, fit. Rows by parameter: predicted and measured spread of the plan and of the naive flight."""
     from greybox.model.vehicle import read_vehicle
     from greybox.planning import plan
@@ -144,7 +161,7 @@ def study(seeds: Sequence[int], *, seconds: float = 60.0, naive: bool = True) ->
     free = list(made.subject.free)
     for name, flown in flights.items():
         columns = setpoints(flown, made.limits, DT, gravity)
-        values, stds, failed = spread(columns, model, free, seeds, noise)
+        values, stds, failed = spread(columns, model, free, seeds, noise, AUTOPILOTS[autopilot])
         out[f"failed_{name}"] = failed
         for n in free:
             row = out["rows"].setdefault(n, {})
@@ -176,10 +193,17 @@ def report(result: Mapping[str, Any], runs: int) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=48)
+    parser.add_argument("--seeds", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--autopilot", choices=tuple(AUTOPILOTS), default="planned")
+    parser.add_argument("--plan-only", action="store_true", help="leave out hover and figure of eight")
     arguments = parser.parse_args(argv)
-    result = study(range(arguments.seeds), seconds=arguments.seconds)
+    result = study(
+        range(arguments.seeds),
+        seconds=arguments.seconds,
+        naive=not arguments.plan_only,
+        autopilot=arguments.autopilot,
+    )
     print(result["plan"].summary())
     print(report(result, arguments.seeds))
     return 0

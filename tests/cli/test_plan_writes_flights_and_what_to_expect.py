@@ -14,6 +14,7 @@ from greybox.cli import main
 from greybox.data.logs import read_log
 from greybox.model.vehicle import read_vehicle
 from greybox.model.vehicle_template import template_text
+from tests.mpc_export import cases
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/plan.json").read_text())
 
@@ -61,6 +62,18 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
     assert "What to do next" in page and "std naive" in page
 
 
+def test_a_fitted_model_is_planned_for_as_well(vehicle, tmp_path, capsys):
+    model = tmp_path / "model.json"
+    cases.physics().save(model)
+    command = ["plan", "--model", str(model), "--vehicle", str(vehicle), "--seconds", "4", "--piece", "2"]
+    assert main([*command, "--setpoints-only", "--out", str(tmp_path / "out"), "--json", "-"]) in (0, 1)
+    said = capsys.readouterr()
+    assert "another vehicle file" in said.err
+    content = json.loads(said.out)
+    jsonschema.validate(content, SCHEMA)
+    assert content["effects"] == list(cases.physics().effects)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -72,7 +85,7 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
         (["--rate", "1"], "--rate"),
         (["--command", "0.9,0.95"], "hover"),
         (["--value", "masse=1"], "mass"),
-        (["--model", "model.json"], "--vehicle"),
+        (["--model", "model.json"], "no such file"),
     ],
 )
 def test_bad_wishes_are_one_line_and_write_nothing(vehicle, options, words, tmp_path, capsys):
