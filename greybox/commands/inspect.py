@@ -67,12 +67,15 @@ def uses(found: Any) -> dict[str, Any]:
     groups = {g.group for g in found.groups}
     sensors = [s for s in _sensors(found) if s != "rotor_speed"]
     driven = "command" in groups
+    measured = ("rate", "specific_force", "attitude", "position", "velocity", "rotor_speed")
     return {
         "fit": driven and bool(sensors),
         "sensors": list(_sensors(found)),
         "rotation": driven and bool({"rate", "attitude"} & groups),
         "translation": driven and bool({"specific_force", "velocity", "position"} & groups),
         "speed_input": "rotor_speed" in groups and bool(sensors),
+        # The stationary gain of the innovation form takes every channel to be there at every sample.
+        "predictor": "kalman" if any(g.share < 0.9 for g in found.groups if g.group in measured) else "innovation",
         "open_loop_horizons": sorted(groups & {"position", "velocity", "attitude", "rate"}),
     }
 
@@ -133,6 +136,8 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             "  fits: " + (", ".join(k for k in ("rotation", "translation") if good[k]) or "nothing")
             + (", also with rotor speeds as the input" if good["speed_input"] else "")
         )  # fmt: skip
+        if good["predictor"] == "kalman":
+            lines.append("  some channels come slower than the rows: fit with --predictor kalman")
         for other in content["other_sources"][:8]:
             lines.append(f"  also there: {other}")
         possible, lacking = content["effects"]["possible"], content["effects"]["lacking"]

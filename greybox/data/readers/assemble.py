@@ -2,7 +2,8 @@
 
 Rows are the samples of one stream (by default that of the body rate). Measurements of about its rate are interpolated
 linearly, faster ones averaged around the row, slower ones stand only in the row next to each sample, moved along the
-line through their neighbours. A command is the mean of what was held until the next row. Nothing is carried over a gap.
+line through their neighbours. The battery voltage, which enters a model as an input, is interpolated at any rate, a
+setpoint held. A command is the mean of what was held until the next row. Nothing is carried over a gap.
 """
 
 from __future__ import annotations
@@ -179,10 +180,10 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         direct = source.stream == clock.stream and source.delay == clock.delay and t.size == rows.size
         if direct and np.array_equal(t, rows):
             placed = values
-        elif group == "command":
+        elif group in ("command", "setpoint"):
             placed = commands_at(t, values, rows, base.step, stream.step)
         else:
-            placed = at_rows(t, values, rows, base.step, step=stream.step)
+            placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
             if group == "attitude":
                 placed = _unit(placed)
         names = group_names(group, values.shape[1])
@@ -285,7 +286,13 @@ def _unit(quaternions: FloatArray) -> FloatArray:
 
 
 def at_rows(
-    t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float | None = None
+    t: FloatArray,
+    values: FloatArray,
+    rows: FloatArray,
+    row_step: float,
+    step: float | None = None,
+    *,
+    sparse: bool = True,
 ) -> FloatArray:
     """Samples (N, K) at increasing `t` on the rows (M,), as the head of this file says; NaN where nothing is known."""
     known = np.isfinite(values).all(axis=1)
@@ -298,7 +305,7 @@ def at_rows(
     if t.size == 1:
         return _beside(t, values, rows, row_step, np.inf)
     own = max(float(np.median(np.diff(t))), step if step is not None and np.isfinite(step) else 0.0)
-    if own > SLOW * row_step:
+    if sparse and own > SLOW * row_step:
         return _beside(t, values, rows, row_step, STRETCH * own)
     i = np.clip(np.searchsorted(t, rows, side="right") - 1, 0, t.size - 2)
     width = t[i + 1] - t[i]
