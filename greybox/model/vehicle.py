@@ -295,7 +295,8 @@ def _actuator(table: TomlTable) -> Actuator:
     if not u_min < u_max:
         raise table.error("u_min", f"{u_min:g} is not below u_max {u_max:g}", fix="give the command range in order")
     thrust = _quantities(table, "thrust")
-    full = sum(q.value * u_max**i for i, q in enumerate(thrust))
+    c0, c1, c2 = (q.value for q in thrust)
+    full = c0 + u_max * (c1 + u_max * c2)  # a product never raises OverflowError, a power does
     if not full > 0:
         raise table.error(
             "thrust",

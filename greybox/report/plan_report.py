@@ -26,7 +26,8 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
     for w in content["warnings"]:
         report.warning(w)
     report.section("What it is expected to tell")
-    report.verdict(content["efficiency"]["text"])
+    text = content["efficiency"]["text"]
+    report.verdict(f"{text[0].upper()}{text[1:]}.")
     rows: list[list[Cell]] = []
     for n, p in content["parameters"].items():
         alone: Cell = "" if finite(p["std_flights_alone"]) else Tag(text="not by itself")
@@ -77,7 +78,8 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
     report.bullets(
         [
             "Look at every flight in simulation, or fly it at half amplitude first. Keep a hand on the switch.",
-            "Send the setpoints of flight_1.csv at its sample rate. Columns inj_* are added behind the attitude controller; "
+            "Send the setpoints of flight_1.csv at its sample rate and hold the last one until the craft rests. Columns "
+            "inj_* are added behind the attitude controller; "
             "an autopilot that cannot do that flies a plan made with --setpoints-only.",
             f"Log commands after the mixer and {', '.join(content['sensors'])}, at {1 / content['sample_time']:g} Hz.",
             "greybox check the logs, then greybox fit; plan again with --model to see what still pays.",

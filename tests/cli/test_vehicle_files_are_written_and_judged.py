@@ -13,6 +13,8 @@ import pytest
 
 from greybox.cli import main
 from greybox.commands import vehicle as command
+from greybox.errors import GreyboxError
+from greybox.files import dump_json
 from greybox.model.plausibility import check_vehicle
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.model.vehicle_template import TEMPLATES, template_text, vehicle_text
@@ -191,3 +193,27 @@ def test_questions_keep_defaults_and_ask_again_for_a_number(capsys):
     assert (name, answers) == ("plus", {"mass": 0.7, "arm": 0.2})
     assert "a number is needed" in capsys.readouterr().out
     assert check_vehicle(Vehicle.from_dict(tomllib.loads(vehicle_text(name, answers)))).verdict == "plausible"
+
+
+def test_any_number_is_judged_and_none_crashes_the_check():
+    rng = np.random.default_rng(5)
+    outcomes = set()
+    for _ in range(120):
+        data = tomllib.loads(template_text(TEMPLATES[rng.integers(len(TEMPLATES))]))
+        for place in ("mass", "gravity", "u_max", "rotor_radius", "speed_max", "thrust", "torque", "center_of_mass"):
+            if rng.random() < 0.3:
+                size = rng.choice([0.0, -1.0, 1e-300, 1e300, 10.0 ** rng.uniform(-8, 8)])
+                table = (
+                    data["actuator"] if place in ("u_max", "rotor_radius", "speed_max", "thrust", "torque") else data
+                )
+                table[place] = (
+                    [0.0, float(size), 0.1] if place in ("thrust", "torque", "center_of_mass") else float(size)
+                )
+        try:
+            report = check_vehicle(Vehicle.from_dict(data))
+        except GreyboxError:
+            outcomes.add("refused")
+            continue
+        jsonschema.validate(json.loads(dump_json(report.to_dict())), SCHEMA)
+        outcomes.add(report.verdict)
+    assert outcomes >= {"refused", "implausible", "plausible"}

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from greybox.model.plausibility import judges
-from greybox.model.plausibility.craft import Craft
+from greybox.model.plausibility.craft import FIGURES, Craft
 from greybox.model.plausibility.finding import SEVERITIES, Implausible
 from greybox.model.vehicle import Vehicle
 
@@ -54,7 +56,14 @@ class Plausibility:
 
 def check_vehicle(vehicle: Vehicle) -> Plausibility:
     """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the catalogue does not have."""
-    craft = Craft(vehicle)
+    huge = list(judges.huge(vehicle))
+    if huge:
+        return Plausibility(vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(huge))
+    with np.errstate(all="ignore"):
+        return _judged(Craft(vehicle))
+
+
+def _judged(craft: Craft) -> Plausibility:
     found = list(judges.size(craft))
     if any(f.severity == "blocking" for f in found):
         found.append(
@@ -71,4 +80,4 @@ def check_vehicle(vehicle: Vehicle) -> Plausibility:
         found += [f for judge in (judges.inertia, judges.thrust, judges.rotors, judges.points) for f in judge(craft)]
     found += [f for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise) for f in judge(craft)]
     found.sort(key=lambda f: SEVERITIES.index(f.severity))
-    return Plausibility(vehicle=vehicle.name, figures=craft.figures, findings=tuple(found))
+    return Plausibility(vehicle=craft.vehicle.name, figures=craft.figures, findings=tuple(found))

@@ -17,6 +17,16 @@ from greybox.symbolic import FloatArray
 AIR = 1.225
 """Density of air at sea level [kg/m^3]."""
 
+FIGURES = (
+    "mass",
+    "arm_length",
+    "thrust_to_weight",
+    "hover_command",
+    "torque_over_thrust",
+    "tip_speed",
+    "thrust_coefficient",
+)
+
 
 class Craft:
     """A vehicle with its derived figures."""
@@ -39,16 +49,11 @@ class Craft:
         radius, speed = vehicle.actuator.rotor_radius, vehicle.actuator.speed_max
         self.tip = speed * radius if speed and radius else None
         area = math.pi * radius**2 if radius else None
-        self.coefficient = float(self.rotor[-1]) / (AIR * area * self.tip**2) if area and self.tip else None
-        self.figures: dict[str, float | None] = {
-            "mass": self.m,
-            "arm_length": self.L,
-            "thrust_to_weight": float(self.lift[-1]) / self.weight,
-            "hover_command": self.hover,
-            "torque_over_thrust": self.lever,
-            "tip_speed": self.tip,
-            "thrust_coefficient": self.coefficient,
-        }
+        pressure = AIR * area * self.tip**2 if area and self.tip else 0.0
+        self.coefficient = float(self.rotor[-1]) / pressure if pressure > 0 else None
+        ratio = float(self.lift[-1]) / self.weight
+        values = (self.m, self.L, ratio, self.hover, self.lever, self.tip, self.coefficient)
+        self.figures: dict[str, float | None] = dict(zip(FIGURES, values, strict=True))
 
     def polynomial(self, kind: str, nu: Any) -> Any:
         """Thrust or torque of one rotor at normalised speed."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -19,6 +20,7 @@ from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
 from greybox.model.vehicle import Vehicle
 
+HUGE = 1e9
 MASS_UNITS = {1e-3: "grams instead of kilograms"}
 LENGTH_UNITS = {1e-3: "millimetres instead of metres", 1e-2: "centimetres instead of metres", 0.0254: "inches"}
 INERTIA_UNITS = {
@@ -34,6 +36,28 @@ FORCE_UNITS = {9.80665e-3: "gram-force instead of newton", 9.80665: "kilogram-fo
 def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str | None:
     """The unit that would explain a value outside of low..high."""
     return next((name for factor, name in units.items() if low <= value * factor <= high), None)
+
+
+def huge(vehicle: Vehicle) -> Iterator[Implausible]:
+    """Numbers that nothing on a small craft has in any unit: with them there is nothing to calculate."""
+
+    def numbers(place: str, value: Any) -> Iterator[tuple[str, float]]:
+        if isinstance(value, dict):
+            for k, v in value.items():
+                yield from numbers(f"{place}.{k}" if place else k, v)
+        elif isinstance(value, list):
+            for i, v in enumerate(value):
+                yield from numbers(f"{place}[{i}]", v)
+        elif isinstance(value, float | int):
+            yield place, float(value)
+
+    given = vehicle.to_dict()
+    given.pop("columns")
+    for place, value in numbers("", given):
+        if abs(value) > HUGE:
+            yield Implausible(
+                "blocking", place, "far too large in any unit", f"below {HUGE:g}", f"{value:g}", "check the exponent"
+            )
 
 
 def size(c: Craft) -> Iterator[Implausible]:
