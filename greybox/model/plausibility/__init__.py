@@ -56,9 +56,9 @@ class Plausibility:
 
 def check_vehicle(vehicle: Vehicle) -> Plausibility:
     """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the catalogue does not have."""
-    huge = list(judges.huge(vehicle))
-    if huge:
-        return Plausibility(vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(huge))
+    extreme = list(judges.extremes(vehicle))
+    if extreme:
+        return Plausibility(vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(extreme))
     with np.errstate(all="ignore"):
         return _judged(Craft(vehicle))
 

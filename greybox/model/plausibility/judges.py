@@ -38,8 +38,8 @@ def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str
     return next((name for factor, name in units.items() if low <= value * factor <= high), None)
 
 
-def huge(vehicle: Vehicle) -> Iterator[Implausible]:
-    """Numbers that nothing on a small craft has in any unit: with them there is nothing to calculate."""
+def extremes(vehicle: Vehicle) -> Iterator[Implausible]:
+    """Numbers that nothing on a small craft has in any unit; with them there is nothing to calculate."""
 
     def numbers(place: str, value: Any) -> Iterator[tuple[str, float]]:
         if isinstance(value, dict):
@@ -57,6 +57,16 @@ def huge(vehicle: Vehicle) -> Iterator[Implausible]:
         if abs(value) > HUGE:
             yield Implausible(
                 "blocking", place, "far too large in any unit", f"below {HUGE:g}", f"{value:g}", "check the exponent"
+            )
+    for place, value in (("mass", vehicle.mass.value), ("gravity", vehicle.gravity)):
+        if value < 1 / HUGE:
+            yield Implausible(
+                "blocking",
+                place,
+                "far too small in any unit",
+                f"above {1 / HUGE:g}",
+                f"{value:g}",
+                "check the exponent",
             )
 
 
