@@ -17,7 +17,7 @@ from greybox.data.raw import RawLog
 from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, read_mapping, read_recording
 from greybox.data.readers.assemble import assemble, choose, describe, stream_of_table, usable
 from greybox.data.readers.mapping import TABLE
-from greybox.data.readers.recording import Stream
+from greybox.data.readers.recording import Source, Stream
 from greybox.errors import GreyboxError
 
 SCHEMA = "greybox.inspect/1"
@@ -163,7 +163,7 @@ def inspect_log(
     others = [
         f"{s.group}: {describe(s, recording.streams[s.stream])}"
         for s in recording.sources
-        if not own_names and usable(recording, s) and s not in chosen.values()
+        if not own_names and usable(recording, s) and not any(_same(s, c) for c in chosen.values())
     ]
     return Inspection(
         format=form,
@@ -175,6 +175,10 @@ def inspect_log(
         raw=raw,
         problem=problem,
     )
+
+
+def _same(one: Source, other: Source) -> bool:
+    return (one.group, one.stream, one.fields) == (other.group, other.stream, other.fields)
 
 
 def _recording_of(table: Table, vehicle: Airframe | None, where: str) -> Recording:

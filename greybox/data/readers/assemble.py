@@ -9,6 +9,7 @@ setpoint held. A command is the mean of what was held until the next row. Nothin
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,8 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
         if good:
             rates = [recording.streams[s.stream].rate for s in good]
             enough = min(FAST_ENOUGH, 0.9 * max(rates)) if group in BY_RATE else 0.0
-            out[group] = next(s for s, rate in zip(good, rates, strict=True) if rate >= enough)
+            taken = next(s for s, rate in zip(good, rates, strict=True) if rate >= enough)
+            out[group] = replace(taken, **mapping.changed.get(group, {}))
     return out
 
 

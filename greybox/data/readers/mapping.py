@@ -13,7 +13,8 @@
     unit = "deg/s"
     frame = "FRD"
 
-A group with `stream` alone takes the reader's own way of reading that stream; `use = false` leaves the group out.
+A group without `fields` keeps the reader's own way: `stream` picks among its sources, `delay` and `causal` are set on
+the one that is taken; `use = false` leaves the group out.
 """
 
 from __future__ import annotations
@@ -40,10 +41,14 @@ _KEYS = ("stream", "fields", "unit", "frame", "scale", "delay", "limits", "causa
 
 @dataclass(frozen=True, kw_only=True)
 class LogMapping:
-    """A mapping file: sources per group, streams preferred for a group, groups left out, clock and time column."""
+    """A mapping file: sources per group, groups left out, clock and time column.
+
+    Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay and causality.
+    """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     preferred: Mapping[str, str] = field(default_factory=dict)
+    changed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     unused: frozenset[str] = frozenset()
     clock: str | None = None
     time_field: str | None = None
@@ -76,6 +81,7 @@ def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
         raise UnknownNameError("unit", unit, TIME_UNITS, where=f"{where}: time.unit")
     sources: dict[str, Source] = {}
     preferred: dict[str, str] = {}
+    changed: dict[str, dict[str, Any]] = {}
     unused = set()
     for group in GROUPS:
         if group not in content:
@@ -86,14 +92,20 @@ def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
             unused.add(group)
         elif "fields" in table:
             sources[group] = _source(group, table, place)
-        elif set(table) <= {"stream", "use"} and "stream" in table:
-            preferred[group] = str(_text(table, "stream", place, None))
+        elif table and set(table) <= {"stream", "use", "delay", "causal"}:
+            if "stream" in table:
+                preferred[group] = str(_text(table, "stream", place, None))
+            if "delay" in table:
+                changed.setdefault(group, {})["delay"] = _number(table["delay"], f"{place}.delay")
+            if "causal" in table:
+                changed.setdefault(group, {})["causal"] = _boolean(table, "causal", place, True)
         else:
             raise DataError("no fields", where=place, expected="the fields in the order of the channels",
                             fix=f"fields = [...]  # {', '.join(group_names(group))}")  # fmt: skip
     return LogMapping(
         sources=sources,
         preferred=preferred,
+        changed=changed,
         unused=frozenset(unused),
         clock=_text(content, "clock", where, None),
         time_field=_text(time, "field", f"{where}: time", None),

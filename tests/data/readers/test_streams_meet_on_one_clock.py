@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from greybox.data.readers import Recording, Source, Stream, assemble, choose
 from greybox.data.readers.assemble import at_rows, commands_at
-from greybox.data.readers.mapping import LogMapping
+from greybox.data.readers.mapping import LogMapping, read_mapping
 from greybox.errors import DataError, UnknownNameError
 
 ROWS = 0.01 * np.arange(200)
@@ -96,6 +98,15 @@ def test_of_two_gyros_the_first_one_that_is_fast_enough_is_taken() -> None:
     assert choose(full, asked)["rate"].stream == "slow"
     with pytest.raises(UnknownNameError, match=r"map\.toml: rate: unknown stream 'none'"):
         choose(full, LogMapping(preferred={"rate": "none"}, where="map.toml"))
+
+
+def test_a_mapping_sets_delay_and_causality_of_the_readers_own_source(tmp_path: Path) -> None:
+    named = tmp_path / "map.toml"
+    named.write_text('schema = "greybox.mapping/1"\n[rate]\nstream = "slow"\ndelay = 0.02\ncausal = false\n')
+    full = recording(slow=stream("slow", 20), fast=stream("fast", 200))
+    source = choose(full, read_mapping(named))["rate"]
+    assert (source.stream, source.delay, source.causal) == ("slow", 0.02, False)
+    assert assemble(full, read_mapping(named)).noncausal == {"p", "q", "r"}
 
 
 def test_a_delay_moves_a_stream_and_not_the_rows() -> None:
