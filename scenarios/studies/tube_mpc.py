@@ -76,7 +76,7 @@ CRASH = 100.0
 """Cost of a flight that ends in a crash, per second."""
 TUNING = 12
 """Training flights on which limits are counted and each constant is tried."""
-MOVED = (0.001, 0.002, 0.0035)
+MOVED = (0.001, 0.0025)
 """Constant back-offs that are tried [m]."""
 TILT_PER_METRE = 2.0
 """The constant also takes this much off the tilt [rad/m]."""

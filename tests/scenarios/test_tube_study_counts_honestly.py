@@ -79,7 +79,7 @@ def test_coverage_of_true_gaussians_is_nominal_and_of_half_as_wide_ones_is_not()
 def test_what_was_tuned_is_not_tuned_again(tmp_path):
     tuning = tube_mpc.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
     tuning._keep("rehearsed", [(0.5, 12), (1.0, 4), (1.5, 1)])
-    tuning._keep("constant", [(0.001, 6), (0.002, 2), (0.0035, 0)])
+    tuning._keep("constant", [(0.001, 7), (0.0025, 1)])
     tuning._keep("lengths", [8, 9, 10] * tube_mpc.TUNING)
     again = tube_mpc.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
     sizes = [again.deviations(v) for v in (0.2, 0.1, 0.05)]
