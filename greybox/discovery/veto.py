@@ -44,6 +44,8 @@ CONSTANT = frozenset({"constant_force"})
 """Effects without a signal: any law has a mean, which they take."""
 MUCH = 5.0
 """How much more than the effect explained an axis may miss after it, in BIC, where what it misses follows no law."""
+ELSEWHERE = 10.0
+"""The same for the axes that the effect does not act on: a force off the centre of mass is a torque, a tilt turns forces."""
 TOUCHED = 0.3
 """An effect acts on force or torque where its size against the noise is this share of the largest."""
 
@@ -202,7 +204,8 @@ def misfit_of(
         ):
             reason = f"{law.channel} follows another law after it, which is larger than the effect"
             return Withheld(effects=tuple(effects), reason=reason)
-        if law.gain > MUCH * gained:
+    for law in left:
+        if law.gain > (MUCH if law in near else ELSEWHERE) * gained:
             reason = f"{law.channel} misses far more after it than the effect explained"
             return Withheld(effects=tuple(effects), reason=reason)
     return None

@@ -39,7 +39,7 @@ def test_a_law_larger_than_the_effect_takes_its_name_back():
     "left",
     [
         law("torque.x", rms=0.0001, share=0.9, gain=50),  # small against the effect
-        law("force.z", rms=9.0, share=0.9, gain=9000),  # elsewhere
+        law("force.z", rms=9.0, share=0.9, gain=900),  # elsewhere
         law("torque.x", rms=0.004, share=0.1, gain=300),  # no law, and not far more than the effect
     ],
 )
@@ -51,6 +51,13 @@ def test_far_more_left_without_a_law_takes_it_back_too():
     assert misfit(
         ("rotational_damping",), torque(0.001), LEVELS, [law("torque.x", rms=0.1, share=0, gain=600, terms={})], 100
     )
+
+
+def test_a_small_name_next_to_a_far_larger_force_without_one_is_taken_back():
+    # A tether pulls at a point: its torque looks like an offset of the centre of mass, its force has no name.
+    left = [law("force.x", rms=0.09, share=0.99, gain=3000)]
+    assert misfit(("center_of_mass_offset",), torque(0.001), LEVELS, left, 27) is not None
+    assert misfit(("center_of_mass_offset",), torque(0.001), LEVELS, left, 400) is None
 
 
 def test_an_effect_without_a_wrench_is_not_judged_by_it_but_by_its_sensor():
