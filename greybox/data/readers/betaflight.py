@@ -8,7 +8,6 @@ Motors are numbered as on the flight controller: 1 rear right, 2 front right, 3 
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import re
 from collections.abc import Iterator, Mapping
@@ -37,7 +36,7 @@ def read_betaflight(path: Path) -> Recording:
     library("orangebox", where=where, what="a blackbox file")
     logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
-    best: tuple[list[Any], Any, int] | None = None
+    best: tuple[list[Any], bool, Any, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
         for index in range(1, min(count, MOST_FLIGHTS) + 1):
@@ -47,23 +46,22 @@ def read_betaflight(path: Path) -> Recording:
                 if count == 1:
                     raise
                 continue  # a damaged flight beside good ones
-            rows = _frames(parser)
+            rows, whole = _frames(parser)
             if best is None or len(rows) > len(best[0]):
-                best = (rows, parser, index)
+                best = (rows, whole, parser, index)
         if best is None or len(best[0]) < 2:
             raise DataError("no frames in it", where=where, fix="copy the log again; log from arming to disarming")
-        rows, parser, index = best
+        rows, whole, parser, index = best
         names = list(parser.field_names)
         table = _numbers(rows, len(names))
         headers: Mapping[str, Any] = parser.headers
-        lost = int(getattr(parser, "_ctx").stats["invalid"]) if hasattr(parser, "_ctx") else 0  # noqa: B009
     fields = {n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
     if "time" not in fields:
         raise DataError("no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again")
     stream = Stream(name="main", t=fields["time"] * 1e-6, fields=fields, kind="I and P frames", clock="microseconds")
     notes = [f"flight {index} of the {count} in the file (the longest)"] if count > 1 else []
-    if lost:
-        notes.append(f"{lost} damaged frames were passed over")
+    if not whole:
+        notes.append("the log ends in the middle of a frame, or is damaged from there on; it is read up to it")
     sources, said = _sources(fields, headers)
     return Recording(
         format="betaflight",
@@ -76,14 +74,16 @@ def read_betaflight(path: Path) -> Recording:
     )
 
 
-def _frames(parser: Any) -> list[Any]:
-    """The values of all I and P frames, up to the first that the parser cannot get over (a log that was cut off)."""
+def _frames(parser: Any) -> tuple[list[Any], bool]:
+    """The values of all I and P frames up to the first that the parser cannot get over, and whether there was none."""
     rows = []
-    with contextlib.suppress(RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
+    try:
         for frame in parser.frames():
             if frame.type.value in "IP":
                 rows.append(frame.data)
-    return rows
+    except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
+        return rows, False
+    return rows, True
 
 
 def _numbers(rows: list[Any], width: int) -> Any:
