@@ -1,29 +1,25 @@
-"""PX4 ULog files by pyulog.
+"""PX4 ULog files by pyulog: every topic and instance is a stream; `px4` knows which of them are which channels.
 
-Topics and fields have moved over the versions of PX4, so that every channel group has several sources. PX4's body axes
-are FRD and its world NED. Stamps are microseconds since boot; a measurement takes `timestamp_sample` where the topic has
-it. References: ULog file format and uORB messages, docs.px4.io; PX4-Autopilot src/modules/logger/logged_topics.cpp for
-what is logged how often; parameter THR_MDL_FAC for the map from thrust to motor signal.
+Stamps are microseconds since boot; a measurement takes `timestamp_sample` where the topic has it. Reference: ULog file
+format, docs.px4.io.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-import math
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from greybox.data.raw import FloatArray
+from greybox.data.readers.px4 import rotors_of, sources_of
 from greybox.data.readers.recording import (
     LogFormat,
     Recording,
-    Source,
     Stream,
     as_numbers,
     checked_file,
@@ -34,15 +30,10 @@ from greybox.errors import DataError
 
 _MAGIC = b"ULog\x01\x12\x35"
 
-MOTOR_FUNCTION = 101
-"""Output function (PWM_MAIN_FUNCi and the like) of motor 1 in PX4."""
-
 WIDEST_FORMAT = 20_000
 """Fields of one message, arrays and nested types unfolded, above which a file is refused."""
 
 _MEMBER = re.compile(r"([A-Za-z0-9_]+)(?:\[(\d+)\])?\s")
-
-QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 
 
 def read_ulog(path: Path) -> Recording:
@@ -64,7 +55,7 @@ def read_ulog(path: Path) -> Recording:
     for name in sorted({k for _, k, _ in log.changed_parameters}):
         if name.startswith(("THR_MDL_FAC", "PWM_", "CA_ROTOR")):
             notes.append(f"parameter {name} was changed during the log; its first value is used")
-    rotors = _rotors(parameters)
+    rotors = rotors_of(parameters)
     factor = parameters.get("THR_MDL_FAC", 0.0)
     if not 0.0 <= factor <= 1.0:
         notes.append(f"THR_MDL_FAC = {factor:g} is not between 0 and 1; taken as 0")
@@ -74,7 +65,7 @@ def read_ulog(path: Path) -> Recording:
         source=path.name,
         sha256=digest,
         streams=streams,
-        sources=tuple(_sources(streams, parameters, factor, len(rotors))),
+        sources=tuple(sources_of(streams, parameters, factor, len(rotors))),
         info=info,
         dropouts=dropouts,
         rotors=rotors,
@@ -165,221 +156,6 @@ def _info(log: Any) -> dict[str, str]:
     if profile is not None:
         out["SDLOG_PROFILE"] = str(int(profile))
     return out
-
-
-def _rotors(parameters: Mapping[str, float]) -> tuple[tuple[tuple[float, float, float], int], ...]:
-    """Positions [m, FLU] and spins from CA_ROTORi_PX, PY, PZ (FRD) and KM (positive: counter-clockwise)."""
-    count = int(parameters.get("CA_ROTOR_COUNT", 0))
-    out = []
-    for i in range(min(max(count, 0), 12)):
-        x, y, z, k = (parameters.get(f"CA_ROTOR{i}_{p}", math.nan) for p in ("PX", "PY", "PZ", "KM"))
-        if not math.isfinite(x + y + k):
-            return ()
-        out.append(((x, -y, -z if math.isfinite(z) and z else 0.0), 1 if k > 0 else -1))
-    return tuple(out)
-
-
-def signal_of_thrust(factor: float) -> Callable[[FloatArray], FloatArray]:
-    """Motor signal s of the thrust setpoint T: T = factor s^2 + (1 - factor) s, as PX4's THR_MDL_FAC defines it."""
-
-    def convert(thrust: FloatArray) -> FloatArray:
-        rest = 1.0 - factor
-        root = (-rest + np.sqrt(rest**2 + 4.0 * factor * np.maximum(thrust, 0.0))) / (2.0 * factor)
-        return np.asarray(np.where(thrust > 0, root, thrust))
-
-    return convert
-
-
-def _stopped(low: float, high: float) -> Callable[[FloatArray], FloatArray]:
-    """Outputs low..high to 0..1; below `low` (disarmed) is 0."""
-    return lambda values: np.asarray(np.maximum((values - low) / (high - low), 0.0))
-
-
-def _sources(
-    streams: Mapping[str, Stream], parameters: Mapping[str, float], factor: float, rotors: int
-) -> Iterator[Source]:
-    yield from _commands(streams, parameters, factor, rotors)
-    yield from _speeds(streams)
-    for name, stream in streams.items():
-        if stream.kind == "battery_status":
-            for key in ("voltage_v", "voltage_filtered_v"):
-                yield Source(group="battery", stream=name, fields=(key,), unit="V")
-    for topic in ("vehicle_attitude",):
-        yield Source(group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="PX4's estimate")
-    for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry", "att_pos_mocap", "vehicle_vision_attitude"):
-        yield Source(group="attitude", stream=topic, fields=QUATERNION, frame="FRD/NED", note="external pose")
-    yield Source(
-        group="attitude", stream="vehicle_attitude_groundtruth", fields=QUATERNION, frame="FRD/NED", note="simulator"
-    )
-    yield from _imu(streams)
-    local = "vehicle_local_position"
-    poses = (("vehicle_mocap_odometry", "external pose"), ("vehicle_visual_odometry", "external pose"))
-    yield Source(group="position", stream=local, fields=("x", "y", "z"), frame="NED", note="PX4's estimate")
-    yield Source(group="velocity", stream=local, fields=("vx", "vy", "vz"), frame="NED", note="PX4's estimate")
-    for topic, note in (*poses, ("att_pos_mocap", "external pose")):
-        for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
-            yield Source(group="position", stream=topic, fields=fields, frame="NED", note=note)
-    for topic, note in poses:
-        frame = _velocity_frame(streams.get(topic))
-        for fields in (("velocity[0]", "velocity[1]", "velocity[2]"), ("vx", "vy", "vz")):
-            yield Source(group="velocity", stream=topic, fields=fields, frame=frame, note=note)
-    truth = "vehicle_local_position_groundtruth"
-    yield Source(group="position", stream=truth, fields=("x", "y", "z"), frame="NED", note="simulator")
-    yield Source(group="velocity", stream=truth, fields=("vx", "vy", "vz"), frame="NED", note="simulator")
-    for topic in ("trajectory_setpoint", "vehicle_local_position_setpoint"):
-        for fields in (("position[0]", "position[1]", "position[2]"), ("x", "y", "z")):
-            yield Source(group="setpoint", stream=topic, fields=fields, frame="NED")
-
-
-def _velocity_frame(stream: Stream | None) -> str:
-    """Frame of an odometry message's velocity: 3 is body FRD in `velocity_frame`, everything else is taken as NED."""
-    if stream is not None and "velocity_frame" in stream.fields:
-        return "FRD" if float(np.median(stream.fields["velocity_frame"])) == 3.0 else "NED"
-    return "NED"
-
-
-def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
-    """Gyro and accelerometer. sensor_combined and vehicle_imu are means over the time before the stamp; the filtered
-    topics come after them because their low-pass adds a delay.
-    """
-    combined = streams.get("sensor_combined")
-    delay = {}
-    for group, key in (("rate", "gyro_integral_dt"), ("specific_force", "accelerometer_integral_dt")):
-        span = combined.fields.get(key) if combined else None
-        seconds = float(np.median(span)) * 1e-6 if span is not None and span.size else 0.0
-        delay[group] = 0.5 * seconds if 0.0 < seconds < 0.05 else 0.0
-    gyro = ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
-    force = ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
-    yield Source(group="rate", stream="sensor_combined", fields=gyro, frame="FRD", delay=delay["rate"])
-    # Both sensors share the stamps of the message, and nearly always the interval: one delay keeps them in one row.
-    yield Source(group="specific_force", stream="sensor_combined", fields=force, frame="FRD", delay=delay["rate"])
-    imus = [n for n, s in streams.items() if s.kind == "vehicle_imu"]
-    for name in imus:
-        for group, part in (("rate", "angle"), ("specific_force", "velocity")):
-            span = streams[name].fields.get(f"delta_{part}_dt")
-            seconds = float(np.median(span)) * 1e-6 if span is not None and span.size else 0.0
-            yield Source(
-                group=group,
-                stream=name,
-                fields=tuple(f"delta_{part}[{axis}] / dt" for axis in range(3)),
-                frame="FRD",
-                delay=0.5 * seconds if 0.0 < seconds < 0.05 else 0.0,
-            )
-    filtered = "low-pass filtered by PX4"
-    yield Source(
-        group="rate",
-        stream="vehicle_angular_velocity",
-        fields=("xyz[0]", "xyz[1]", "xyz[2]"),
-        frame="FRD",
-        note=filtered,
-    )
-    yield Source(
-        group="specific_force",
-        stream="vehicle_acceleration",
-        fields=("xyz[0]", "xyz[1]", "xyz[2]"),
-        frame="FRD",
-        note=filtered,
-    )
-    for name, stream in streams.items():
-        if stream.kind in ("sensor_gyro", "sensor_accel"):
-            group = "rate" if stream.kind == "sensor_gyro" else "specific_force"
-            yield Source(group=group, stream=name, fields=("x", "y", "z"), frame="FRD", note="one raw sensor")
-    yield Source(
-        group="rate", stream="vehicle_attitude", fields=("rollspeed", "pitchspeed", "yawspeed"), frame="FRD",
-        note="PX4's estimate",
-    )  # fmt: skip
-
-
-def _commands(
-    streams: Mapping[str, Stream], parameters: Mapping[str, float], factor: float, rotors: int
-) -> Iterator[Source]:
-    """actuator_motors (thrust before THR_MDL_FAC) since PX4 1.13; actuator_outputs (what the driver sends) always."""
-    motors = streams.get("actuator_motors")
-    if motors is not None:
-        used = tuple(
-            key
-            for i in range(12)
-            if (key := f"control[{i}]") in motors.fields and np.isfinite(motors.fields[key]).any()
-        )
-        if used:
-            yield Source(
-                group="command",
-                stream="actuator_motors",
-                fields=used[:rotors] if rotors else used,
-                convert=signal_of_thrust(factor) if factor else None,
-                note=f"THR_MDL_FAC = {factor:g}" if factor else "",
-            )
-    found = []
-    for name, stream in streams.items():
-        if stream.kind in ("actuator_outputs", "actuator_outputs_debug"):
-            for source, moving in _outputs(name, stream, parameters, rotors):
-                found.append((moving, source))
-    for _, source in sorted(found, key=lambda pair: -pair[0]):
-        yield source
-
-
-def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors: int) -> Iterator[tuple[Source, float]]:
-    """The motor outputs of one instance, and how much they move (of several instances the one that moves drives)."""
-    by_function = _motor_outputs(name, parameters)
-    if by_function:
-        used = tuple(f"output[{i}]" for i in by_function)
-    else:
-        count = rotors or {2.0: 4, 13.0: 6, 14.0: 8}.get(parameters.get("MAV_TYPE", 0.0), 0)
-        moving = [
-            f"output[{i}]" for i in range(16)
-            if f"output[{i}]" in stream.fields and np.ptp(stream.fields[f"output[{i}]"]) > 0
-        ]  # fmt: skip
-        used = tuple(f"output[{i}]" for i in range(count)) if count else tuple(moving)
-    if not used or any(f not in stream.fields for f in used):
-        return
-    values = np.column_stack([stream.fields[f] for f in used])
-    if not np.isfinite(values).any():
-        return
-    top, spread = float(np.nanmax(values)), float(np.nanmean(np.nanstd(values, axis=0)))
-    if top <= 1.5:
-        yield Source(group="command", stream=name, fields=used), spread
-    elif 800.0 < top <= 2500.0 and float(np.nanmin(values)) >= 500.0:
-        low = parameters.get("PWM_MAIN_MIN1", parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0)))
-        high = parameters.get("PWM_MAIN_MAX1", parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0)))
-        if not high > low:
-            low, high = 1000.0, 2000.0
-        yield (
-            Source(
-                group="command", stream=name, fields=used, convert=_stopped(low, high), note=f"PWM {low:g}..{high:g} us"
-            ),
-            spread / (high - low),
-        )
-
-
-def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...]:
-    """Indices of the outputs that drive motors 1, 2, ... by the function parameters of the main or auxiliary outputs."""
-    for bus in ("PWM_MAIN", "PWM_AUX", "SIM_GZ_EC", "UAVCAN_EC"):
-        places: dict[int, int] = {}
-        for i in range(16):
-            function = int(parameters.get(f"{bus}_FUNC{i + 1}", 0))
-            if MOTOR_FUNCTION <= function < MOTOR_FUNCTION + 12:
-                places.setdefault(function - MOTOR_FUNCTION, i)
-        if places and sorted(places) == list(range(len(places))):
-            return tuple(places[k] for k in range(len(places)))
-    return ()
-
-
-def _speeds(streams: Mapping[str, Stream]) -> Iterator[Source]:
-    """Rotor speeds of esc_status, in motor order where the ESCs say which motor they drive."""
-    stream = streams.get("esc_status")
-    if stream is None:
-        return
-    places: dict[int, str] = {}
-    for i in range(8):
-        speed = stream.fields.get(f"esc[{i}].esc_rpm")
-        if speed is None or not np.isfinite(speed).any() or not (speed != 0).any():
-            continue
-        function = stream.fields.get(f"esc[{i}].actuator_function")
-        motor = int(np.median(function)) - MOTOR_FUNCTION if function is not None and function.size else i
-        places.setdefault(motor if 0 <= motor < 12 else i, f"esc[{i}].esc_rpm")
-    if places and sorted(places) == list(range(len(places))):
-        fields = tuple(places[k] for k in range(len(places)))
-        yield Source(group="rotor_speed", stream="esc_status", fields=fields, unit="rpm", convert=np.abs)
 
 
 FORMAT = LogFormat(
