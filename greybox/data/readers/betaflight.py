@@ -188,8 +188,7 @@ FORMAT = LogFormat(
         "command": "set blackbox_disable_motors = OFF; motor[i] is after the mixer (leave vbat_sag_compensation as flown)",
         "rotor_speed": "set dshot_bidir = ON and blackbox_disable_rpm = OFF, with the right motor_poles",
         "battery": "set blackbox_disable_bat = OFF with a voltage sensor (battery_meter = ADC or ESC)",
-        "attitude": "Betaflight logs none by default; set blackbox_disable_attitude = OFF where the firmware has it, or log "
-        "motion capture beside it",
+        "attitude": "not read from blackbox files; log motion capture or an estimator beside it",
         "rate": "set blackbox_disable_gyro = OFF; gyroUnfilt needs Betaflight 4.5, before that debug_mode = GYRO_SCALED",
         "specific_force": "set acc_hardware = AUTO and blackbox_disable_acc = OFF",
         "position": "GPS alone is too coarse; log motion capture beside it",

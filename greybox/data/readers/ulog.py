@@ -167,7 +167,8 @@ FORMAT = LogFormat(
     advice={
         "": "SDLOG_PROFILE = 25 (bit 0 default, bit 3 system identification, bit 4 high rate) logs gyro, accelerometer, "
         "attitude and motor commands at full rate; SDLOG_MODE = 0 logs from arming to disarming; a fast SD card avoids "
-        "drop-outs",
+        "drop-outs. etc/logging/logger_topics.txt on the SD card (lines of topic and interval in ms) replaces the whole "
+        "profile: where it is used, it must name every topic",
         "command": "set bit 3 or 4 of SDLOG_PROFILE (8 or 16): actuator_motors at full rate, by default it is 10 Hz; "
         "before PX4 1.13: actuator_outputs in etc/logging/logger_topics.txt on the SD card",
         "rotor_speed": "ESCs with telemetry (DShot: DSHOT_TEL_CFG; bidirectional DShot; UAVCAN): esc_status; bit 4 of "
