@@ -1,6 +1,6 @@
 """What does it cost to hold the back-offs fixed within an iteration, and the learned error for white noise?
 
-Along one training flight, every `EVERY`-th plan is computed again on a short horizon from the same estimate, in three ways:
+Along one training flight, plans that touch a tightened plane are computed again on a short horizon from the same estimate:
 
     one         one iteration from the plan before, as in flight
     zero-order  to convergence, back-offs renewed in every iteration but not differentiated (zoRO)
@@ -28,13 +28,14 @@ from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.ipopt import IpoptSolver
+from mpc_export.tube.stages import block
 from scenarios.courses import TRAINING_SEEDS
 from scenarios.studies.tube_mpc import PROBLEM, controller, flight, models
 
 Array = NDArray[np.float64]
 SEED = TRAINING_SEEDS[30]
-FIRST, EVERY = 50, 40
-"""The first plan that is computed again, and every how many after it."""
+APART = 0.15
+"""Plans that touch a tightened limit within the short horizon are computed again, at least this far apart [s]."""
 OPTIONS = {
     "ipopt.hessian_approximation": "limited-memory", "ipopt.tol": 1e-6, "ipopt.max_iter": 400,
     "ipopt.acceptable_tol": 1e-5,
@@ -48,6 +49,16 @@ def follow(follower: TubeController, flown: TubeController) -> None:
     follower.steady, follower.p = (flown.steady[0].copy(), flown.steady[1].copy()), flown.p.copy()
 
 
+def room(pilot: TubeController, horizon: int) -> float:
+    """Least distance of the plan to a tightened plane within the first stages [m]; below zero where slack is used."""
+    data = pilot.solver.data
+    place = data["x"][1 : horizon + 1, block(pilot.functions, "position")]
+    planes = data["plane"][1 : horizon + 1]
+    left = planes[..., 3] - np.einsum("kpi,ki->kp", planes[..., :3], place) - data["backoff"][1 : horizon + 1, :-1]
+    there = (planes[..., :3] != 0).any(axis=-1)
+    return float(np.where(there, left, np.inf).min())
+
+
 def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dict[str, Any]]:
     """One row per plan: commands, cost and seconds of the three ways."""
     pilot = controller(model, deviations=deviations)
@@ -57,12 +68,14 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
     )  # fmt: skip
     full = IpoptSolver(short.solver, backoff="full", options=OPTIONS)
     rows: list[dict[str, Any]] = []
-    count, last = 0, pilot.plan
+    last = pilot.plan
 
     def at(_k: int, _p: Any, flown: TubeController) -> None:
-        nonlocal count, last
-        count, before, last = count + 1, last, flown.plan
-        if before is None or last is None or count < FIRST or (count - FIRST) % EVERY:
+        nonlocal last
+        before, last = last, flown.plan
+        if before is None or last is None or room(flown, horizon) > 1e-4:
+            return
+        if rows and last.time < rows[-1]["time"] + APART:
             return
         follow(short, flown)
         data = short.solver.data
@@ -75,6 +88,7 @@ def compare(model: IdentifiedModel, horizon: int, deviations: float) -> list[dic
         row: dict[str, Any] = {
             "time": last.time, "kkt": converged.kkt, "seconds": converged.seconds,
             "one": float(np.abs(one[0] - data["u"][0]).max()), "slack": float(data["slack"].max()),
+            "room": room(short, horizon),
         }  # fmt: skip
         began = time.perf_counter()
         try:
