@@ -44,6 +44,11 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _abandon_output() -> None:
+    """What is still to be printed goes nowhere: nobody reads it, or there is no room."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 @contextlib.contextmanager
 def _hush(arguments: argparse.Namespace) -> Iterator[None]:
     """Nothing on standard error; nothing on standard output either, unless a file was asked for there."""
@@ -60,7 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(argv)
     try:
         with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
-            return int(arguments.run(arguments))
+            code = int(arguments.run(arguments))
+            sys.stdout.flush()
+            return code
     except GreyboxError as error:
         if arguments.debug:
             raise
@@ -70,8 +77,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"greybox {arguments.command}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _abandon_output()
         return 0
+    except OSError as error:
+        if arguments.debug:
+            raise
+        where = error.filename or "standard output"
+        print(f"greybox {arguments.command}: {where}: {error.strerror or error}", file=sys.stderr)
+        _abandon_output()
+        return 2
 
 
 if __name__ == "__main__":

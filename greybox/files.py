@@ -26,12 +26,16 @@ class OutputError(GreyboxError, OSError):
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
     """Write `content` so that at any moment either the old or the new file is there. Returns the path.
 
-    Parent folders are made. Raises `OutputError` (disk full, read-only folder, a folder of that name).
+    Parent folders are made. A device or a pipe is written to as it is. Raises `OutputError` (disk full, read-only
+    folder, a folder of that name).
     """
     target = Path(path)
     data = content.encode() if isinstance(content, str) else content
     temporary = None
     try:
+        if target.exists() and not target.is_file() and not target.is_dir():
+            target.write_bytes(data)
+            return target
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
         with os.fdopen(handle, "wb") as stream:
