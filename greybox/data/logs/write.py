@@ -9,7 +9,6 @@ from pathlib import Path
 from greybox.data.raw import FloatArray, RawLog
 from greybox.files import write_atomic
 
-
 BLOCK = 50_000
 """Rows that are turned into text at once: single cells take a hundred bytes each while they wait."""
 

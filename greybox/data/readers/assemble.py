@@ -1,9 +1,7 @@
 """From a recording to one table of canonical channels: which source, its units and frames, and one clock for all.
 
-Rows are the samples of one stream (by default that of the body rate). Measurements of about its rate are interpolated
-linearly, faster ones averaged around the row, slower ones stand only in the row next to each sample, moved along the
-line through their neighbours. The battery voltage, which enters a model as an input, is interpolated at any rate, a
-setpoint held. A command is the mean of what was held until the next row. Nothing is carried over a gap.
+Rows are the samples of one stream (by default that of the body rate); `placing` says how others come to stand in them.
+The battery voltage, which enters a model as an input, is interpolated at any rate; a setpoint is held like a command.
 """
 
 from __future__ import annotations
@@ -19,8 +17,8 @@ from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
+from greybox.data.readers.placing import at_rows, commands_at
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
-from greybox.data.resampling import continuous_signs
 from greybox.errors import DataError, UnknownNameError
 
 CLOCKS = ("rate", "specific_force", "attitude", "command", "position", "velocity", "rotor_speed", "battery")
@@ -31,18 +29,6 @@ FAST_ENOUGH = 100.0
 
 BY_RATE = ("command", "rate", "specific_force")
 """Groups whose sources compete by rate. Poses and velocities do not: those of another origin have another world frame."""
-
-SLOW = 2.0
-"""A stream whose step is longer than this many rows is not interpolated: its samples stand in single rows."""
-
-FAST = 1.5
-"""Rows this many times longer than a stream's step average it."""
-
-STRETCH = 2.5
-"""Nothing is interpolated over a step longer than this many median steps of its stream."""
-
-COMMAND_AGE = 0.1
-"""A command is held for at most this time [s], or five of its steps where that is longer."""
 
 _TIMES = ("t", "time", "timestamp", "time_s", "t_s", "time_ms", "time_us", "time_ns", "timestamp_us", "timestamp_ns")
 
@@ -172,6 +158,13 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         source = chosen[group]
         stream = recording.streams[source.stream]
         t, values = samples(stream, source)
+        apart = _apart(t, rows)
+        if apart:
+            said = f"{describe(source, stream)}: another clock than the rows of {base.name}: {apart}"
+            if group == "command":
+                raise DataError(said, where=recording.source, fix=f"set [{group}] delay in a mapping file")
+            notes.append(f"left out, {said}; set [{group}] delay in a mapping file")
+            continue
         if group == "attitude":
             attitude = (t, values)
         if group == "velocity" and source.frame in ("FLU", "FRD"):
@@ -211,6 +204,14 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         noncausal=frozenset(noncausal),
         notes=tuple(notes),
     )
+
+
+def _apart(t: FloatArray, rows: FloatArray) -> str:
+    """How far stamps that never meet the rows lie from them, in words; empty where they meet."""
+    known = rows[np.isfinite(rows)]
+    if not t.size or not known.size or (t[0] <= known.max() and t[-1] >= known.min()):
+        return ""
+    return f"it begins {t[0] - known.min():+.3f} s from them"
 
 
 def describe(source: Source, stream: Stream) -> str:
@@ -285,109 +286,3 @@ def _unit(quaternions: FloatArray) -> FloatArray:
     norm = np.linalg.norm(quaternions, axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.abs(norm - 1.0) < 0.1, quaternions / norm, np.nan)
-
-
-def at_rows(
-    t: FloatArray,
-    values: FloatArray,
-    rows: FloatArray,
-    row_step: float,
-    step: float | None = None,
-    *,
-    sparse: bool = True,
-) -> FloatArray:
-    """Samples (N, K) at increasing `t` on the rows (M,), as the head of this file says; NaN where nothing is known."""
-    known = np.isfinite(values).all(axis=1)
-    t, values = t[known], values[known]
-    out = np.full((rows.size, values.shape[1]), np.nan)
-    if t.size == 0:
-        return out
-    if values.shape[1] == 4:
-        values, _ = continuous_signs(values)
-    if t.size == 1:
-        return _beside(t, values, rows, row_step, np.inf)
-    own = max(float(np.median(np.diff(t))), step if step is not None and np.isfinite(step) else 0.0)
-    if sparse and own > SLOW * row_step:
-        return _beside(t, values, rows, row_step, STRETCH * own)
-    i = np.clip(np.searchsorted(t, rows, side="right") - 1, 0, t.size - 2)
-    width = t[i + 1] - t[i]
-    weight = ((rows - t[i]) / width)[:, None]
-    good = (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
-    good &= (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
-    if row_step > FAST * own:
-        half = 0.5 * row_step
-        area = np.vstack(
-            [np.zeros(values.shape[1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0)]
-        )
-        end, start = np.clip(rows + half, t[0], t[-1]), np.clip(rows - half, t[0], t[-1])
-        length = end - start
-        mean = (_area(t, values, area, end) - _area(t, values, area, start)) / np.where(length > 0, length, 1.0)[
-            :, None
-        ]
-        line = np.where((length > 0)[:, None], mean, (1 - weight) * values[i] + weight * values[i + 1])
-    else:
-        line = (1 - weight) * values[i] + weight * values[i + 1]
-    out[good] = line[good]
-    return out
-
-
-def _area(t: FloatArray, values: FloatArray, area: FloatArray, at: FloatArray) -> FloatArray:
-    """Integral from t[0] to `at` of the piecewise linear signal, given its values at the samples."""
-    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
-    s = (at - t[i])[:, None]
-    slope = (values[i + 1] - values[i]) / (t[i + 1] - t[i])[:, None]
-    return area[i] + values[i] * s + 0.5 * slope * s**2
-
-
-def _beside(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, reach: float) -> FloatArray:
-    """A slow stream: each sample in the row next to it, at the row's time on the line through its neighbours."""
-    out = np.full((rows.size, values.shape[1]), np.nan)
-    order = np.argsort(rows, kind="stable")
-    sorted_rows = rows[order]
-    right = np.clip(np.searchsorted(sorted_rows, t), 1, rows.size - 1)
-    nearer = np.abs(sorted_rows[right - 1] - t) <= np.abs(sorted_rows[right] - t)
-    row = order[np.where(nearer, right - 1, right)]
-    away = rows[row] - t
-    keep = np.abs(away) <= 0.75 * row_step
-    j = np.arange(t.size)
-    toward = np.where(away >= 0, 1, -1)
-    moved, done = values.copy(), np.zeros(t.size, dtype=bool)
-    # The neighbour on the row's side; where there is none (ends, gaps) the line through the other one.
-    for side in (toward, -toward):
-        other = np.clip(j + side, 0, t.size - 1)
-        span = t[other] - t
-        good = ~done & (span != 0) & (np.abs(span) <= reach)
-        moved[good] += (away / np.where(good, span, 1.0))[good, None] * (values[other] - values)[good]
-        done |= good
-    out[row[keep]] = moved[keep]
-    return out
-
-
-def commands_at(t: FloatArray, values: FloatArray, rows: FloatArray, row_step: float, step: float) -> FloatArray:
-    """Mean over each row's step (to the next row) of commands (N, K) that are held from their stamps on; NaN before
-    the first and where the last one is too old.
-    """
-    known = np.isfinite(values).all(axis=1)
-    t, values = t[known], values[known]
-    out = np.full((rows.size, values.shape[1]), np.nan)
-    if t.size == 0:
-        return out
-    following = np.concatenate([rows[1:], [rows[-1] + row_step]])
-    end = np.where(following > rows, np.minimum(following, rows + 1.5 * row_step), rows + row_step)
-    area = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(t)[:, None], axis=0)])
-
-    def up_to(at: FloatArray) -> FloatArray:
-        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 1)
-        return area[i] + values[i] * (at - t[i])[:, None]
-
-    i = np.searchsorted(t, rows, side="right") - 1
-    begin = np.maximum(rows, t[0])
-    mean = (up_to(end) - up_to(begin)) / np.maximum(end - begin, 1e-12)[:, None]
-    last = np.searchsorted(t, end, side="left") - 1
-    age = end - t[np.clip(last, 0, t.size - 1)]
-    good = (end - begin >= 0.5 * (end - rows)) & (last >= 0) & (age <= max(COMMAND_AGE, 5 * step) + row_step)
-    # A row whose step holds one command takes it exactly, not as a quotient.
-    single = good & (i >= 0) & (i == last)
-    out[good] = mean[good]
-    out[single] = values[i[single]]
-    return out

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from greybox.data.readers import Recording, Source, Stream, assemble, choose
-from greybox.data.readers.assemble import at_rows, commands_at
 from greybox.data.readers.mapping import LogMapping, read_mapping
+from greybox.data.readers.placing import at_rows, commands_at
 from greybox.errors import DataError, UnknownNameError
 
 ROWS = 0.01 * np.arange(200)
@@ -142,6 +142,24 @@ def test_body_velocity_is_turned_by_the_attitude_of_its_own_time() -> None:
     inside = slice(2, 298)
     np.testing.assert_allclose(table.columns["vx"][inside], 2.0 * np.cos(yaw)[inside], atol=2e-4)
     np.testing.assert_allclose(table.columns["vy"][inside], 2.0 * np.sin(yaw)[inside], atol=2e-4)
+
+
+def test_a_stream_of_another_clock_is_left_out_and_named_and_a_delay_brings_it_back(tmp_path: Path) -> None:
+    gyro, force = stream("fast", 100), stream("force", 100, start=1.7e9)
+    sources = (
+        Source(group="rate", stream="fast", fields=("x", "y", "z")),
+        Source(group="specific_force", stream="force", fields=("x", "y", "z")),
+    )
+    both = Recording(format="t", source="t", sha256="", streams={"fast": gyro, "force": force}, sources=sources)
+    table = assemble(both)
+    assert "ax" not in table.columns
+    assert any("another clock" in n and "+1700000000.000 s" in n for n in table.notes)
+    named = tmp_path / "map.toml"
+    named.write_text('schema = "greybox.mapping/1"\n[specific_force]\ndelay = 1.7e9\n')
+    assert np.isfinite(assemble(both, read_mapping(named)).columns["ax"]).mean() > 0.95
+    sent = (sources[0], Source(group="command", stream="force", fields=("x", "y")))
+    with pytest.raises(DataError, match=r"another clock.*\[command\] delay"):
+        assemble(Recording(format="t", source="t", sha256="", streams=both.streams, sources=sent))
 
 
 def test_stamps_that_jump_back_stay_visible_in_the_rows_and_do_no_harm_elsewhere() -> None:
