@@ -37,6 +37,8 @@ def add(subparsers: Any) -> None:
     p.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="flights at a time (default 1; 2 spoil solution times a bit)"
     )
+    p.add_argument("--risk", choices=("rehearsal", "boole"), default="rehearsal", help="how the level becomes a back-off: "
+                   "flights against the model itself (default), or Boole's inequality over touched limits")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write mpc.json to F ('-': standard output)")
@@ -80,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
     flown = prepare(
         arguments.subject, out, plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
+        risk=arguments.risk,
         flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
     )  # fmt: skip
     campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
@@ -88,7 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
         rows = kept(campaign, flown.entries, flown.seeds)
         content = summary(
             what=flown.what, task=campaign.mission(), entries=flown.entries, rows=rows, level=arguments.level,
-            tuning=flown.tuning, seeds=flown.seeds, jobs=arguments.jobs, command=command, warnings=warnings,
+            tuning=flown.tuning, seeds=flown.seeds, jobs=arguments.jobs, command=command,
+            warnings=[*warnings, *flown.warnings],
         )  # fmt: skip
         write_json(out / "mpc.json", content)
         write_atomic(out / "report.html", mpc_report(content, rows, read_traces(campaign, flown.entries, watched)))

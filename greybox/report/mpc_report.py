@@ -189,14 +189,26 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
                                                            f"designed for"),
         ("Controller", f"plans every {1e3 * course['plan_time']:.0f} ms over {course['horizon']} stages, one real-time "
                        "iteration a plan; the identified filter estimates the state from measurements"),
-        ("Tube", f"{number(tuning['kappa'], 3)} standard deviations, for {number(tuning['pairs'], 3)} limits that a flight "
-                 f"without tightening touches ({tuning['flights']} training flights)"),
-        ("Constant back-off", f"{1e3 * tuning['moved']:.1f} mm, from the same training flights"),
+        ("Tube", _tightened(tuning)),
+        ("Constant back-off", f"{1e3 * tuning['moved']:.1f} mm, from {tuning['flights']} training flights on this course"),
         ("Gusts", f"seeds {seeds['first']} to {seeds['first'] + seeds['count'] - 1}, the same for every "
-                  f"controller; training "
-                  "seeds are others"),
+                  "controller; training seeds are others"),
     ]  # fmt: skip
     report.facts(rows)
+
+
+def _tightened(tuning: Mapping[str, Any]) -> str:
+    """Where the tube's back-off comes from."""
+    touched = (
+        f"{number(tuning['pairs'], 3)} limits that a flight without tightening touches ({tuning['flights']} flights)"
+    )
+    if tuning["risk"] == "boole":
+        return f"{number(tuning['kappa'], 3)} standard deviations, by Boole's inequality over {touched}"
+    tried = ", ".join(f"{r['crossed']} of {r['flights']} at {r['kappa']:g}" for r in tuning["rehearsed"])
+    return (
+        f"{number(tuning['kappa'], 3)} standard deviations, rehearsed on the model itself (beyond a limit: {tried}); "
+        f"Boole's inequality over {touched} would ask for {number(tuning['boole'], 3)}"
+    )
 
 
 def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:

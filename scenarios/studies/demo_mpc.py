@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from greybox.model.vehicle import read_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import learn
+from greybox.residual.noise_levels import refit_noise
 from scenarios.courses import JUDGING_SEEDS, TRAINING_SEEDS, vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -45,6 +46,7 @@ from scenarios.studies.mpc_campaign import (
     Hangar,
     flights,
     make_folder,
+    rehearsed,
     tuned,
     write_segments,
 )
@@ -63,6 +65,8 @@ TEXTS = {
     "nominal": "the data sheet's model", "pem": "fitted physics, no tightening",
     "hybrid": "physics and Gaussian process, no tightening",
 }  # fmt: skip
+REHEARSED, REHEARSALS = (0.5, 1.0, 1.5), 12
+"""Standard deviations that are rehearsed on the model itself, and flights for each."""
 TUNING = 10
 """Training flights on which touched limits are counted and the constant back-off is chosen."""
 
@@ -70,10 +74,17 @@ TUNING = 10
 def identify(out: Path, say: Say = print) -> dict[str, Path]:
     """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run are taken as they are.
 
-    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle file and the flight, so that `greybox fit` and `learn` can be run on them by hand.
+    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle file and the
+    flight, so that `greybox fit` and `learn` can be run on them by hand.
     """
     files = {n: out / f"{n}.json" for n in ("nominal", "pem", "hybrid")}
-    settings = {"schema": "greybox.study/1", "seconds": SECONDS, "points": POINTS, "features": list(FEATURES)}
+    settings = {
+        "schema": "greybox.study/1",
+        "noise": "each",
+        "seconds": SECONDS,
+        "points": POINTS,
+        "features": list(FEATURES),
+    }
     done = out / "identified.json"
     if done.exists() and read_json(done) == settings and all(p.exists() for p in files.values()):
         return files
@@ -97,7 +108,9 @@ def identify(out: Path, say: Say = print) -> dict[str, Path]:
     save_model(fitted.model, files["pem"])
     say("learning what is left")
     try:
-        save_model(learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model, files["hybrid"])
+        learned = learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model
+        # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight that was learned from
+        save_model(replace(refit_noise(learned, data, each=True), horizon_noise=None), files["hybrid"])
     except MissingExtraError as error:
         say(f"the tube flies on the fitted physics: {error}")
         return {n: files[n] for n in ("nominal", "pem")}
@@ -111,21 +124,24 @@ class Flown:
 
     hangar: Hangar
     entries: tuple[Entry, ...]
-    tuning: dict[str, float]
+    tuning: dict[str, Any]
     what: dict[str, Any]
     seeds: tuple[int, ...]
+    warnings: tuple[str, ...]
 
 
 def prepare(
     subject: str, out: Path, *, plant: str | None = None, logs: Sequence[str] = (), course: str = OBSTACLES,
-    pace: float | None = None,
+    pace: float | None = None, risk: str = "rehearsal",
     flights_: int = 20, level: float = 0.1, seed: int = 0, jobs: int = 1, say: Say = print,
 ) -> Flown:  # fmt: skip
     """Models, plant, controllers and tuned back-offs of `subject`: "demo" or a model file.
 
     plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances that are resampled from
     `logs` or else as identified. pace: how much slower the course is flown; None: 1 for the demo, and for a model what its
-    training speeds ask for. Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
+    training speeds ask for. risk: how the level becomes standard deviations, "rehearsal" or "boole" (see
+    mpc_export/tube/risk.py).
+    Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
     """
     demo = subject == "demo"
     if demo and logs:
@@ -165,7 +181,18 @@ def prepare(
         near=NEAR,
         say=lambda text: say(f"training flights: {text}"),
     )
-    tuning = {**tuned(rows, level), "flights": TUNING}
+    tuning: dict[str, Any] = {**tuned(rows, level), "flights": TUNING, "rehearsed": []}
+    tuning |= {"kappa": tuning["boole"], "risk": "boole"}
+    warnings = []
+    if risk == "rehearsal":
+        say(f"rehearsing {REHEARSALS} flights at each of {len(REHEARSED)} back-offs against the model itself")
+        try:
+            found, tuning["rehearsed"] = rehearsed(
+                hangar, plain, level, tried=REHEARSED, count=REHEARSALS, jobs=jobs, say=say
+            )
+            tuning |= {"kappa": found, "risk": "rehearsal"}
+        except ModelError as error:
+            warnings.append(f"Rehearsals do not bound the risk, so that Boole's inequality does: {error}")
     entries = [
         Entry(name="tube", text=f"{plain.name}, limits tightened by its tube, {100 * level:g} % a flight", model=str(main),
               kappa=tuning["kappa"]),
@@ -183,7 +210,7 @@ def prepare(
     first = JUDGING_SEEDS[0] * (1 + seed)
     return Flown(
         hangar=hangar, entries=(*before, plain, *entries), tuning=tuning, what=what,
-        seeds=tuple(range(first, first + flights_)),
+        seeds=tuple(range(first, first + flights_)), warnings=tuple(warnings),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 from greybox.files import OutputError, checksum, file_sha256, read_json, write_atomic, write_json
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
-from mpc_export.tube.risk import kappa
+from mpc_export.tube.risk import kappa, kappa_rehearsed
 from scenarios.studies.mpc_flights import (
     Cascade,
     Mission,
@@ -254,10 +254,27 @@ def read_traces(campaign: Campaign, entries: Sequence[Entry], seeds: Sequence[in
 def tuned(rows: Sequence[dict[str, Any]], level: float) -> dict[str, float]:
     """What flights without tightening on training seeds ask for.
 
-    `pairs` of limits touched in a flight, `kappa` for the level by Boole's inequality over them, and `moved` [m], the
-    constant that would have left at most `level` of these flights beyond a limit.
+    `pairs` of limits touched in a flight, `boole`, the standard deviations that Boole's inequality over them asks for, and
+    `moved` [m], the constant that would have left at most `level` of these flights beyond a limit.
     """
     pairs = float(np.mean([r["pairs"] for r in rows]))
     depth = sorted((max([c["depth"] for c in r["crossings"]], default=0.0) for r in rows), reverse=True)
     allowed = min(int(level * len(depth) + 1e-9), len(depth) - 1)
-    return {"pairs": pairs, "kappa": kappa(level, max(pairs, 1.0)), "moved": round(float(depth[allowed]), 5)}
+    return {"pairs": pairs, "boole": kappa(level, max(pairs, 1.0)), "moved": round(float(depth[allowed]), 5)}
+
+
+def rehearsed(
+    hangar: Hangar, plain: Entry, level: float, *, tried: Sequence[float], count: int, jobs: int, say: Callable[[str], None]
+) -> tuple[float, list[dict[str, Any]]]:  # fmt: skip
+    """(standard deviations for `level`, what was rehearsed): `count` flights against the model itself at each of `tried`.
+
+    Raises `ModelError` where they go beyond a limit too often for any of them (mpc_export/tube/risk.py).
+    """
+    stage = Hangar(replace(hangar.campaign, plant="rehearsal", disturbances=""))
+    entries = [replace(plain, name=f"{value:g}", kappa=value) for value in tried]
+    rows = flights(
+        stage, entries, range(count), jobs=jobs, log="rehearsal.jsonl", say=lambda text: say(f"rehearsal: {text}")
+    )
+    beyond = [sum(bool(r["crashed"] or r["crossings"]) for r in rows if r["controller"] == e.name) for e in entries]
+    found = [{"kappa": k, "flights": count, "crossed": n} for k, n in zip(tried, beyond, strict=True)]
+    return kappa_rehearsed(level, tried, beyond, [count] * len(beyond)), found

@@ -33,6 +33,8 @@ from scenarios.studies.tube_mpc import CRASH, REACH
 
 STEP = 0.02
 """Sample time of plans, or the multiple of the model's own that comes next [s]."""
+ANCILLARY = 64.0
+"""Weight on position of the gain inside the tube; eight times the plan's keeps the tube narrow (docs/tube_mpc.md)."""
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 CELL = 0.1
 """A row keeps the least distance to a limit in cells of this length [s]."""
@@ -84,6 +86,7 @@ def mission(model: IdentifiedModel, course: Course, pace: float = 1.0) -> Missio
     problem = TubeProblem(
         dt=model.sample_time * max(1, round(STEP / model.sample_time)), horizon=20, planes=len(chosen.planes),
         command_min=chosen.command_min, command_max=chosen.command_max, tilt_max=chosen.tilt_max,
+        ancillary=Weights(position=ANCILLARY),
     )  # fmt: skip
     return Mission(course=chosen, problem=problem, dt=model.sample_time, pace=pace)
 
@@ -391,5 +394,11 @@ class Trace:
 
 
 def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray] | None) -> Any:
-    """The plant of a name: "model" is the identified model itself, everything else `module:attribute`."""
+    """The plant of a name: "model" is the identified model itself, "rehearsal" the same with a learned part that errs,
+    everything else `module:attribute`."""
+    if plant == "rehearsal":
+        # imported here: that study takes its plant from this room too
+        from scenarios.studies.tube_rehearsal import RehearsedPlant
+
+        return RehearsedPlant(model)
     return ModelPlant(model, disturbances) if plant == "model" else load_plant(plant)

@@ -30,7 +30,7 @@ def exact(hits: int, total: int) -> tuple[float, float]:
 
 def summary(
     *, what: dict[str, Any], task: Mission, entries: Sequence[Entry], rows: Sequence[Row], level: float,
-    tuning: dict[str, float], seeds: Sequence[int], jobs: int, command: str, warnings: Sequence[str] = (),
+    tuning: dict[str, Any], seeds: Sequence[int], jobs: int, command: str, warnings: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """The content of mpc.json, from rows of flights in any number."""
     per = {e.name: [r for r in rows if r["controller"] == e.name] for e in entries}

@@ -14,6 +14,7 @@ from scenarios.studies import demo_mpc, mpc_campaign
 from tests.mpc_export import cases
 
 COURSE = ["--course", "tests.cli.short_course:SHORT", "--pace", "1"]
+BOOLE = ["--risk", "boole"]
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def flown(models, tmp_path_factory):
     out = tmp_path_factory.mktemp("flown")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_mpc, "TUNING", 2)
-        assert main(["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--out", str(out)]) == 0
+        assert main(["mpc", str(models / "model.json"), *COURSE, *BOOLE, "--flights", "2", "--out", str(out)]) == 0
     return out
 
 
@@ -70,7 +71,7 @@ def test_page_is_whole_and_runs_nothing_but_its_own_script(flown):
 def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):
     monkeypatch.setattr(demo_mpc, "TUNING", 2)
     before = (flown / "flights.jsonl").read_text()
-    command = ["mpc", str(models / "model.json"), *COURSE, "--out", str(flown)]
+    command = ["mpc", str(models / "model.json"), *COURSE, *BOOLE, "--out", str(flown)]
     assert main([*command, "--flights", "3", "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["controllers"]["tube"]["flights"] == 3
     after = (flown / "flights.jsonl").read_text()
@@ -80,6 +81,8 @@ def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monk
 
 def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(demo_mpc, "TUNING", 2)
+    monkeypatch.setattr(demo_mpc, "REHEARSED", (0.5, 2.0))
+    monkeypatch.setattr(demo_mpc, "REHEARSALS", 2)
     whole = mpc_campaign.Hangar.fly
 
     def stopped(self, entry, seed, **options):
@@ -88,13 +91,15 @@ def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models,
         return whole(self, entry, seed, **options)
 
     monkeypatch.setattr(mpc_campaign.Hangar, "fly", stopped)
-    command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--out", str(tmp_path)]
+    command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--level", "0.4", "--out", str(tmp_path)]
     assert main([*command, "--plant", "scenarios.plants.presets:nano"]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert [r["controller"] for r in rows(tmp_path)] == ["mean", "tube"]
     content = json.loads((tmp_path / "mpc.json").read_text())
     assert content["what"]["mode"] == "plant"
     assert content["controllers"]["constant"]["flights"] == 0
+    assert content["tuning"]["risk"] == "rehearsal"
+    assert [(r["kappa"], r["flights"]) for r in content["tuning"]["rehearsed"]] == [(0.5, 2), (2.0, 2)]
     assert "interrupted" in content["warnings"][0]
     page = (tmp_path / "report.html").read_text()
     assert "interrupted" in page

@@ -37,7 +37,10 @@ def content(rows, level=0.1):
     }  # fmt: skip
     return summary(
         what=what, task=TASK, entries=ENTRIES, rows=rows, level=level, seeds=range(1000, 1020), jobs=1, command="greybox",
-        tuning={"pairs": 30.0, "kappa": 2.7, "moved": 0.002, "flights": 10},
+        tuning={
+            "pairs": 30.0, "boole": 2.7, "kappa": 1.3, "risk": "rehearsal", "moved": 0.002, "flights": 10,
+            "rehearsed": [{"kappa": 0.5, "flights": 12, "crossed": 7}],
+        },
     )  # fmt: skip
 
 
