@@ -37,6 +37,10 @@ class Layout:
 
     Immutable. `layout["omega.x"]` is the index; iteration gives the signals. Raises `UnknownNameError` for a name that
     is not there, and `ModelError` for a name that is there twice.
+
+    >>> rates = Layout([Signal(name="p", unit="rad/s"), Signal(name="q", unit="rad/s")])
+    >>> rates["q"], rates.names
+    (1, ('p', 'q'))
     """
 
     __slots__ = ("_index", "signals")

@@ -20,7 +20,7 @@ def add(subparsers: Any) -> None:
         description="Print a completion script; put it where the shell looks for one, e.g. "
         "greybox completion bash > ~/.local/share/bash-completion/completions/greybox. Needs the extra `completion`.",
     )
-    p.add_argument("shell", choices=SHELLS)
+    p.add_argument("shell", choices=SHELLS, help="the shell that the script is for")
     p.set_defaults(run=run)
 
 

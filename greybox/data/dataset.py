@@ -186,6 +186,10 @@ def _bytes(values: npt.NDArray) -> bytes:
 def dataset_from_arrays(
     t: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike], *, name: str = "flight", notes: Sequence[str] = ()
 ) -> Dataset:
-    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN = missing."""
+    """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN = missing.
+
+    >>> dataset_from_arrays([0.0, 0.01, 0.02], {"p": [0.1, float("nan"), 0.3]}, name="bench")
+    Dataset(1 flights, 3 samples)
+    """
     segment = Segment(t=t, channels=channels, flight=name)  # type: ignore[arg-type]
     return Dataset(flights=(Flight(name=name, segments=(segment,), notes=tuple(notes)),))

@@ -1,0 +1,157 @@
+"""docs/reference.md from the code: every command with every option, every public name with signature and docstring.
+
+    python -m scenarios.studies.docs_reference > docs/reference.md
+
+Why not a documentation generator: the page must be the same on every Python that we support, or the test that it is up to
+date fails on all but one; argparse and inspect print differently from version to version.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+HEAD = """# Reference
+
+Commands and public names, each with what it takes, written by `python -m scenarios.studies.docs_reference` from the code.
+How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
+"""
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def _option(action: argparse.Action) -> str:
+    """Names of an option with what it takes; of a positional argument what stands for it."""
+    value = action.metavar or (action.dest.upper() if action.option_strings else action.dest)
+    if action.choices is not None and action.metavar is None:
+        value = "{" + ",".join(str(c) for c in action.choices) + "}"
+    if isinstance(value, tuple):
+        value = " ".join(value)
+    if action.nargs == 0:
+        value = ""
+    elif action.nargs in ("+", "*"):
+        value = f"{value} ..."
+    elif action.nargs == "?":
+        value = f"[{value}]"
+    return "`" + " ".join([*([", ".join(action.option_strings)] if action.option_strings else []), value]).strip() + "`"
+
+
+def _default(action: argparse.Action) -> str:
+    if action.required:
+        return "required"
+    value = action.default
+    if isinstance(value, tuple | list):
+        value = ",".join(str(v) for v in value)
+    return f"`{value}`" if isinstance(value, str | int | float) and not isinstance(value, bool) and str(value) else ""
+
+
+def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
+    """(name, summary, parser) of every command; of one with commands of its own also those."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            helps = {a.dest: a.help or "" for a in action._choices_actions}
+            for name, child in action.choices.items():
+                yield name, helps.get(name, ""), child
+                yield from ((f"{name} {inner}", text, p) for inner, text, p in _commands(child))
+
+
+def command_line() -> str:
+    """The part about the command line."""
+    from greybox.cli import build_parser
+
+    parser = build_parser()
+    lines = ["## Command line", "", "    greybox [--version] [--debug] [--quiet] COMMAND ...", ""]
+    lines += ["`-h` tells the options of every command. Exit codes: [files.md](files.md#exit-codes).", ""]
+    found = list(_commands(parser))
+    lines += ["| command | what it does |", "|---|---|"]
+    lines += [f"| [`{name}`](#greybox-{name.replace(' ', '-')}) | {_cell(text)} |" for name, text, _ in found]
+    for name, _, child in found:
+        lines += ["", f"### greybox {name}", "", _cell(child.description or "")]
+        options = [a for a in child._actions if not isinstance(a, argparse._HelpAction | argparse._SubParsersAction)]
+        if options:
+            lines += ["", "| option | meaning | default |", "|---|---|---|"]
+        for action in options:
+            meaning = (action.help or "").replace("%(default)s", str(action.default)).replace("%%", "%")
+            lines.append(f"| {_cell(_option(action))} | {_cell(meaning)} | {_default(action)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _signature(function: Any) -> str:
+    """Names and defaults; types are in the source and in the tips of an editor."""
+    out: list[str] = []
+    starred = False
+    for p in inspect.signature(function).parameters.values():
+        if p.kind is p.KEYWORD_ONLY and not starred:
+            out.append("*")
+            starred = True
+        name = {p.VAR_POSITIONAL: "*", p.VAR_KEYWORD: "**"}.get(p.kind, "") + p.name
+        plain = isinstance(p.default, str | int | float | tuple | type(None))
+        out.append(name if p.default is p.empty else f"{name}={p.default!r}" if plain else f"{name}=...")
+    return f"({', '.join(n for n in out if n != 'self')})"
+
+
+def _document(thing: Any) -> str:
+    """The docstring; examples in it become blocks (a line that begins with > is a quotation otherwise)."""
+    text = inspect.getdoc(thing) or ""
+    return re.sub(r"^(>>> .*(?:\n.+)*)", r"```text\n\1\n```", text, flags=re.MULTILINE)
+
+
+def members(kind: type) -> list[tuple[str, Any]]:
+    """Public methods and properties that greybox gives a class, its own before inherited ones."""
+    found: dict[str, Any] = {}
+    for base in inspect.getmro(kind):
+        if not base.__module__.startswith("greybox"):
+            continue
+        for name, value in vars(base).items():
+            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            if not name.startswith("_") and inspect.isfunction(function):
+                found.setdefault(name, value)
+    return list(found.items())
+
+
+def _summary(thing: Any) -> str:
+    return _cell((_document(thing).splitlines() or [""])[0])
+
+
+def python_interface() -> str:
+    """The part about the public names of the package."""
+    import greybox
+
+    # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
+    public = {name: getattr(greybox, name) for name in greybox.__all__}
+    titles = {name: f"class {name}" if inspect.isclass(thing) else f"{name}()" for name, thing in public.items()}
+    lines = [
+        "## Python",
+        "",
+        "All of it is `greybox.NAME`, imported when first used. Arrays have time first; SI units.",
+        "",
+    ]
+    lines += ["| name | what it is |", "|---|---|"]
+    for name, thing in public.items():
+        anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
+        lines.append(f"| [`{name}`](#{anchor}) | {_summary(thing)} |")
+    for name, thing in public.items():
+        lines += ["", f"### {titles[name]}", "", "```text", f"{name}{_signature(thing)}", "```", "", _document(thing)]
+        inside = members(thing) if inspect.isclass(thing) else []
+        if inside:
+            lines += ["", "| member | what it does |", "|---|---|"]
+        for member, value in inside:
+            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            call = "" if isinstance(value, property) else _signature(function)
+            lines.append(f"| `{member}{_cell(call)}` | {_summary(function)} |")
+    return "\n".join(lines) + "\n"
+
+
+def page() -> str:
+    """The whole page."""
+    return "\n".join([HEAD, command_line(), python_interface()])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
