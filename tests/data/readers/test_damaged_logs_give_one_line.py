@@ -94,7 +94,7 @@ def survives(path: Path) -> bool:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32))
 def test_damage_is_survived_or_said(name: str, tmp_path: Path, seed: int) -> None:
     file, library = FORMATS[name]

@@ -11,8 +11,10 @@ import pytest
 
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_table
+from greybox.data.logs.csv import read_csv
 from greybox.data.readers import format_of, read_recording
 from greybox.errors import GreyboxError
+from scenarios.flights import flight_path
 from tests.data.readers import writers as w
 
 N = 200
@@ -220,6 +222,19 @@ def test_times_and_lists_of_parquet_are_columns(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(raw.t), 0.01, atol=1e-6)
     np.testing.assert_allclose(raw.channels["q"], 0.2, atol=1e-7)
     assert np.isnan(raw.channels["u1"]).sum() == N / 2
+
+
+@pytest.mark.parametrize("write", [w.write_parquet, w.write_mat])
+def test_columns_of_a_vehicle_file_name_those_of_any_table(write: Any, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    path = flight_path("nanobench", "B2_circle_fast_rep1")
+    columns = {k: v for k, v in read_csv(path).columns.items() if v.dtype.kind == "f"}
+    known = read_table(path, w.vehicle())
+    raw = read_table(write(tmp_path / ("f.mat" if write is w.write_mat else "f.parquet"), columns), w.vehicle())
+    assert list(raw.channels) == list(known.channels)
+    assert raw.noncausal == known.noncausal == {"vx", "vy", "vz"}
+    for name in known.channels:
+        np.testing.assert_array_equal(raw.channels[name], known.channels[name])
 
 
 def test_a_smoothed_channel_of_a_mapping_never_starts_a_prediction(tmp_path: Path) -> None:
