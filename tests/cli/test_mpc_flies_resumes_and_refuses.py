@@ -82,7 +82,7 @@ def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monk
 def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(demo_mpc, "TUNING", 2)
     monkeypatch.setattr(demo_mpc, "REHEARSED", (0.5, 2.0))
-    monkeypatch.setattr(demo_mpc, "REHEARSALS", 2)
+    monkeypatch.setattr(demo_mpc, "REHEARSALS", 4)
     whole = mpc_campaign.Hangar.fly
 
     def stopped(self, entry, seed, **options):
@@ -99,7 +99,7 @@ def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models,
     assert content["what"]["mode"] == "plant"
     assert content["controllers"]["constant"]["flights"] == 0
     assert content["tuning"]["risk"] == "rehearsal"
-    assert [(r["kappa"], r["flights"]) for r in content["tuning"]["rehearsed"]] == [(0.5, 2), (2.0, 2)]
+    assert [(r["kappa"], r["flights"]) for r in content["tuning"]["rehearsed"]] == [(0.5, 4), (2.0, 4)]
     assert "interrupted" in content["warnings"][0]
     page = (tmp_path / "report.html").read_text()
     assert "interrupted" in page
