@@ -27,7 +27,6 @@ Everything is kept in OUT as it comes (flights.jsonl), and a second run goes on 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -42,7 +41,6 @@ from scipy.stats import binomtest
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
-from greybox.files import write_json
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
@@ -51,9 +49,7 @@ from greybox.residual.files import load_model, save_model
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.correlation import correlation, error_transition
 from mpc_export.tube.problem import TubeProblem, Weights
-from mpc_export.tube.risk import kappa, kappa_passages, kappa_rehearsed, passages, touching
 from scenarios.courses import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -74,16 +70,8 @@ SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 ERRORS = {"inertia": 1.1, "thrust.c2": 0.92, "torque.c2": 1.1}
 CRASH = 100.0
 """Cost of a flight that ends in a crash, per second."""
-TUNING = 12
-"""Training flights on which limits are counted and each constant is tried."""
-MOVED = (0.001, 0.0025)
-"""Constant back-offs that are tried [m]."""
 TILT_PER_METRE = 2.0
-"""The constant also takes this much off the tilt [rad/m]."""
-REHEARSED = (0.5, 1.0, 1.5)
-"""Standard deviations that are rehearsed."""
-REHEARSALS = 20
-"""Flights against the identified model for each of them."""
+"""Planes that are moved by a constant take this much off the tilt [rad/m]."""
 WORST = 1.0
 """Size of the worst case's ellipsoids in standard deviations."""
 DT = 0.01
@@ -275,90 +263,14 @@ def tilted(record: dict[str, Any]) -> bool:
     return bool(record["crashed"] or record["tilt"] > OBSTACLE_COURSE.tilt_max)
 
 
-# ------------------------------------------------------------------------------------------------ tuning
-
-
-class Tuning:
-    """Where back-offs come from: found when asked for, kept in `out`/tuned.json. No judging seed is touched."""
-
-    def __init__(self, out: Path, hybrid: IdentifiedModel, report: Callable[[str], None] = print) -> None:
-        self.file, self.hybrid, self.report = out / "tuned.json", hybrid, report
-        self.values: dict[str, Any] = dict(json.loads(self.file.read_text())["values"]) if self.file.exists() else {}
-
-    def _keep(self, name: str, value: Any) -> Any:
-        self.values[name] = value
-        write_json(self.file, {"schema": "greybox.study/1", "values": self.values})
-        return value
-
-    def rehearsed(self) -> list[tuple[float, int]]:
-        """(standard deviations, flights of `REHEARSALS` that crossed) against the identified model itself."""
-        # imported here: the plant of a model is a study of its own that takes constants from this one
-        from scenarios.studies.tube_rehearsal import RehearsedPlant
-
-        if "rehearsed" in self.values:
-            return [(float(k), int(n)) for k, n in self.values["rehearsed"]]
-        self.report(
-            f"rehearsing {REHEARSALS} flights at each of {REHEARSED} standard deviations against the model itself"
-        )
-        plant, rows = RehearsedPlant(self.hybrid), []
-        for k in REHEARSED:
-            pilot = controller(self.hybrid, deviations=k)
-            rows.append((k, sum(crossed(flight(pilot, s, plant=plant)) for s in range(REHEARSALS))))
-        return list(self._keep("rehearsed", rows))
-
-    def lengths(self) -> list[int]:
-        """Passages of `TUNING` training flights without tightening [plans]."""
-        if "lengths" in self.values:
-            return list(self.values["lengths"])
-        self.report(f"counting passages on {TUNING} training flights")
-        pilot, found = controller(self.hybrid), []
-        for seed in TRAINING_SEEDS[1 : 1 + TUNING]:
-            seen: list[Any] = []
-            flight(pilot, seed, at=lambda _k, _p, flown, seen=seen: seen.append(touching(flown.solver)))  # type: ignore[misc]
-            found += passages(seen)
-        return list(self._keep("lengths", found))
-
-    def tried(self) -> list[tuple[float, int]]:
-        """(constant back-off [m], flights of `TUNING` training flights that crossed)."""
-        if "constant" in self.values:
-            return [(float(v), int(n)) for v, n in self.values["constant"]]
-        self.report(f"trying constants on {TUNING} training flights")
-        rows = []
-        for moved in MOVED:
-            pilot = controller(self.hybrid, moved=moved)
-            rows.append((moved, sum(crossed(flight(pilot, s)) for s in TRAINING_SEEDS[1 : 1 + TUNING])))
-        return list(self._keep("constant", rows))
-
-    def deviations(self, level: float) -> float:
-        """Standard deviations for a risk per flight, by the rehearsals."""
-        tried, hits = zip(*self.rehearsed(), strict=True)
-        return kappa_rehearsed(level, tried, hits, [REHEARSALS] * len(tried))
-
-    def moved(self, level: float) -> float:
-        """The constant [m] for a risk per flight: the same line through what training flights say, at its median."""
-        tried, hits = zip(*self.tried(), strict=True)
-        return 1e-3 * kappa_rehearsed(level, [1e3 * v for v in tried], hits, [TUNING] * len(tried), surety=0.5)
-
-    def by_boole(self, level: float) -> float:
-        """Standard deviations by Boole's inequality over the touched samples of a flight."""
-        return kappa(level, max(sum(self.lengths()) / TUNING, 1.0))
-
-    def by_passages(self, level: float) -> float:
-        """Standard deviations by passages and the closed loop's correlation."""
-        return kappa_passages(level, self.lengths(), passage_correlation(controller(self.hybrid)), flights=TUNING)
-
-
-def passage_correlation(pilot: TubeController, length: int = 20) -> Array:
-    """Correlation of the deviation along x, the wall's normal, over the stages of a plan."""
-    functions = pilot.functions
-    normal = np.zeros(len(functions.error_states))
-    normal[functions.error_states["d_position.x"]] = 1.0
-    transition = error_transition(pilot.filter, pilot.every, len(normal))
-    return correlation(functions, pilot.solver.stages, transition, normal, length)
+# ------------------------------------------------------------------------------------------------ controllers
 
 
 def pilots(out: Path, report: Callable[[str], None] = print) -> Iterator[tuple[str, Callable[[], Any]]]:
     """(name, factory) of every controller; what a factory needs is tuned when it is called."""
+    # imported here: what is tuned is flown with this module's controllers
+    from scenarios.studies.tube_tuning import Tuning
+
     made = models(out, report)
     hybrid = made["hybrid"]
     tuning = Tuning(out, hybrid, report)

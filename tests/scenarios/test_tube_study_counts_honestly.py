@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenarios.courses import OBSTACLE_COURSE
-from scenarios.studies import tube_coverage, tube_mpc
+from scenarios.studies import tube_coverage, tube_mpc, tube_tuning
 
 
 def record(seed, *, margin=0.01, tilt=0.8, crashed=False, cost=0.2, controller="tube-10"):
@@ -77,11 +77,11 @@ def test_coverage_of_true_gaussians_is_nominal_and_of_half_as_wide_ones_is_not()
 
 
 def test_what_was_tuned_is_not_tuned_again(tmp_path):
-    tuning = tube_mpc.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
+    tuning = tube_tuning.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
     tuning._keep("rehearsed", [(0.5, 12), (1.0, 4), (1.5, 1)])
     tuning._keep("constant", [(0.001, 7), (0.0025, 1)])
-    tuning._keep("lengths", [8, 9, 10] * tube_mpc.TUNING)
-    again = tube_mpc.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
+    tuning._keep("lengths", [8, 9, 10] * tube_tuning.TUNING)
+    again = tube_tuning.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
     sizes = [again.deviations(v) for v in (0.2, 0.1, 0.05)]
     assert 0.5 < sizes[0] < sizes[1] < sizes[2] < 2.5
     assert 0.001 < again.moved(0.1) < 0.0035
