@@ -29,6 +29,7 @@ from scenarios.courses import Course
 from scenarios.plants.airframe import Airframe, Rotor
 from scenarios.plants.controller import CascadeController, Setpoint
 from scenarios.studies.mpc_plant import ModelPlant
+from scenarios.studies.mpc_trace import Trace
 from scenarios.studies.tube_mpc import CRASH, REACH
 
 STEP = 0.02
@@ -38,8 +39,6 @@ ANCILLARY = 64.0
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 CELL = 0.1
 """A row keeps the least distance to a limit in cells of this length [s]."""
-SHOWN_STAGES = 11
-"""How many stages of a plan an animation shows."""
 _SLOW = 0.05
 """Low pass of the cascade's own velocity, where none is measured [s]."""
 
@@ -260,7 +259,7 @@ def fly(
     times = np.asarray(dt * np.arange(steps), dtype=float)
     reference = course.sample(times)
     rows, commands, spent, solve, pairs, last = [], [], [], [], 0, None
-    trace = Trace(pilot, task) if watch and isinstance(pilot, TubeController) else None
+    trace = Trace(pilot, task.problem.horizon) if watch and isinstance(pilot, TubeController) else None
     takes_command = _takes_argument(plant.measure)
     crashed = False
     for k in range(steps):
@@ -349,48 +348,6 @@ def _crossings(times: FloatArray, path: FloatArray, away: dict[str, FloatArray])
         if margin[k] < 0:
             found.append({"plane": name, "time": float(times[k]), "depth": float(-margin[k])})
     return found
-
-
-class Trace:
-    """Plans of a flight, thinned: where each stage is expected, how unsure that is, how far the limit is."""
-
-    def __init__(self, pilot: TubeController, task: Mission) -> None:
-        self.place = block(pilot.functions, "position")
-        self.stages = np.unique(np.linspace(0, task.problem.horizon, SHOWN_STAGES).round().astype(int))
-        self.functions = pilot.functions
-        self.learned = "gp_variance" in pilot.functions.functions
-        self.plans: list[dict[str, Any]] = []
-        self.count = 0
-
-    def look(self, pilot: TubeController) -> None:
-        """Keep every second plan: stages' times from now, positions, covariances (xx, xy, xz, yy, yz, zz), distance to the
-        nearest plane and its back-off, the learned part's standard deviation, and how far outside the training data."""
-        self.count += 1
-        if self.count % 2 == 0 or pilot.plan is None:
-            return
-        data, plan, f = pilot.solver.data, pilot.plan, self.functions
-        planes = data["plane"]
-        left = planes[..., 3] - np.einsum("kji,ki->kj", planes[..., :3], plan.x[:, self.place])
-        left = np.where((planes[..., :3] ** 2).sum(axis=-1) > 0, left, np.inf)
-        first = left.argmin(axis=1)
-        rows = np.arange(len(left))
-        spread = data["covariance"][:, self.place][:, :, self.place][self.stages]
-        upper = np.triu_indices(3)
-        x, u, p = plan.x[0], plan.u[0], pilot.p
-        unsure: list[float] = []
-        if self.learned:
-            z = f["gp_features"](x, u, p)[0]
-            unsure = np.sqrt(np.maximum(f["gp_variance"](z, p).full().ravel(), 0.0)).tolist()
-        far = float(f["out_of_domain"](x, u, p)[0]) if "out_of_domain" in f.functions else 0.0
-        self.plans.append(
-            {
-                "time": round(plan.time, 3), "place": np.round(plan.x[self.stages][:, self.place], 4).tolist(),
-                "spread": [[float(f"{v:.3g}") for v in s[upper]] for s in spread],
-                "left": np.round(left[rows, first], 4)[self.stages].tolist(),
-                "backoff": np.round(data["backoff"][rows, first], 4)[self.stages].tolist(),
-                "unsure": [float(f"{v:.3g}") for v in unsure], "outside": round(far, 3),
-            }
-        )  # fmt: skip
 
 
 def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray] | None) -> Any:

@@ -154,10 +154,12 @@ def advice(content: dict[str, Any]) -> list[str]:
             "Fit and learn on flights like these (same speed, same wind), then fly again."
         )
     elif high < level:
-        out.append(
-            "The tube is more careful than it was asked to be. A higher --level, or a model whose filter is less modest "
-            "about its position, would fly nearer to the limits."
+        why = (
+            "Boole's inequality is careful: --risk rehearsal counts what fails together."
+            if content["tuning"]["risk"] == "boole"
+            else "The model is less sure than it could be, or the plant kinder than it; a higher --level flies nearer."
         )
+        out.append(f"The tube is more careful than it was asked to be. {why}")
     elif high > 2 * level:
         out.append(
             f"{n} flights leave the share between {100 * low:.0f} and {100 * high:.0f} %: fly more of them, for example "
