@@ -19,6 +19,7 @@ from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
 from greybox.data.readers.placing import at_rows, commands_at
 from greybox.data.readers.recording import UNITS, Recording, Source, Stream
+from greybox.data.resampling import continuous_signs
 from greybox.errors import DataError, UnknownNameError
 
 CLOCKS = ("rate", "specific_force", "attitude", "command", "position", "velocity", "rotor_speed", "battery")
@@ -253,7 +254,7 @@ def samples(stream: Stream, source: Source) -> tuple[FloatArray, FloatArray]:
         matrix = (matrix - low) / (high - low)
     matrix = _our_frame(matrix, source)
     if source.group == "attitude":
-        matrix = _unit(matrix)
+        matrix, _ = continuous_signs(_unit(matrix))
     t = stream.t - source.delay
     good = np.isfinite(t)
     if good.all() and bool((np.diff(t) > 0).all()):
