@@ -3,7 +3,7 @@
 python    run top to bottom, one namespace and one folder per page
 console   lines that begin with "$ " (and lines after a trailing backslash) are commands: one bash with `set -eo pipefail`
           runs them in the page's folder, the commands of this Python first in PATH. All other lines are output that must
-          come, in this order: blanks count as one, numbers agree within 5 % or one in their last digit, "..." stands for
+          come, in this order: blanks count as one, numbers agree within 5 % or one in their last decimal, "..." stands for
           anything
 toml      parsed; a whole vehicle file is read as one
 json      parsed
@@ -77,8 +77,9 @@ def _same_word(shown: str, came: str) -> bool:
     if _NUMBER.sub("#", shown) != _NUMBER.sub("#", came) or len(numbers) != len(others):
         return False
     for a, b in zip(numbers, others):
-        digits = len(a.partition("e")[0].partition(".")[2])
-        last_digit = 10.0**-digits * 10.0 ** int(a.partition("e")[2] or 0)
+        mantissa, _, exponent = a.partition("e")
+        # A whole number is a count: it has no last digit to be off by.
+        last_digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) if a.strip("+-0123456789") else 0.0
         if abs(float(a) - float(b)) > max(0.05 * abs(float(a)), 1.001 * last_digit):
             return False
     return True
