@@ -78,7 +78,10 @@ def run_new(arguments: argparse.Namespace) -> int:
                 expected=f"--template {', '.join(KNOWN)}",
                 fix="--template x --set mass=0.5 arm=0.12",
             )
-        name, answers = ask(lambda prompt: input(prompt))
+        try:
+            name, answers = ask(lambda prompt: input(prompt))
+        except EOFError:
+            raise VehicleError("the answers ended before the questions", fix="answer all, or use --template") from None
         changes = answers | changes
     text = vehicle_text(name, changes)
     if not arguments.out:

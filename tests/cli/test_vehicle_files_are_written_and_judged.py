@@ -195,6 +195,19 @@ def test_questions_keep_defaults_and_ask_again_for_a_number(capsys):
     assert check_vehicle(Vehicle.from_dict(tomllib.loads(vehicle_text(name, answers)))).verdict == "plausible"
 
 
+def test_answers_that_end_early_are_one_line(tmp_path, capsys, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("sys.stdin", Terminal("x\n"))
+    assert main(["vehicle", "new", "--out", str(tmp_path / "v.toml")]) == 2
+    assert "ended before" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin", Terminal("plus\n\n0.7\n\n\n\n\n\n"))
+    assert main(["vehicle", "new", "--out", str(tmp_path / "v.toml")]) == 0
+    assert read_vehicle(tmp_path / "v.toml").mass.value == 0.7
+
+
 def test_any_number_is_judged_and_none_crashes_the_check():
     rng = np.random.default_rng(5)
     outcomes = set()
