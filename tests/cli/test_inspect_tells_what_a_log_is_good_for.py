@@ -125,24 +125,6 @@ def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
             np.testing.assert_allclose(a.channels[name], b.channels[name], atol=2e-5, err_msg=name)
 
 
-@pytest.mark.slow
-def test_a_px4_log_goes_the_whole_way(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """inspect, check, fit and discover on real flights in PX4's format: every file is written, every result finite."""
-    pytest.importorskip("pyulog")
-    logs = []
-    for name, start in (("a", 300), ("b", 1900)):
-        logs.append(str(w.write_ulog(tmp_path / f"{name}.ulg", w.channels(start=start, rows=1500), slow_every=1)))
-    assert main(["inspect", logs[0]]) == 0
-    assert main(["check", "--vehicle", VEHICLE, *logs]) == 0
-    fit, found = tmp_path / "fit", tmp_path / "found"
-    options = ["--vehicle", VEHICLE, "--train", logs[0], "--test", logs[1]]
-    assert main(["fit", *options, "--effects", "motor_lag,rotor_drag", "--out", str(fit)]) in (0, 1)
-    assert main(["discover", *options, "--max-effects", "2", "--out", str(found)]) == 0
-    values = json.loads((fit / "fit.json").read_text())["parameters"]
-    assert all(np.isfinite(p["value"]) for p in values.values())
-    assert json.loads((found / "discovery.json").read_text())["verdict"] != "bad_data"
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
