@@ -45,7 +45,7 @@ class Parameter:
 
 
 class ParameterValues(Mapping[str, float]):
-    """Names -> numbers, immutable. `replace({name: value})` gives a changed copy; an unknown name is an error with near names.
+    """Names -> numbers, immutable. `replace({name: value})` gives a changed copy; a wrong name is an error with near names.
 
     >>> values = ParameterValues({"mass": 0.03, "motor_lag.tau": 0.04})
     >>> values.replace({"mass": 0.035})["mass"], values["mass"]

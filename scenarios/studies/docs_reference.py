@@ -51,14 +51,14 @@ def _default(action: argparse.Action) -> str:
     return f"`{value}`" if isinstance(value, str | int | float) and not isinstance(value, bool) and str(value) else ""
 
 
-def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
+def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str, argparse.ArgumentParser]]:
     """(name, summary, parser) of every command; of one with commands of its own also those."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {a.dest: a.help or "" for a in action._choices_actions}
             for name, child in action.choices.items():
                 yield name, helps.get(name, ""), child
-                yield from ((f"{name} {inner}", text, p) for inner, text, p in _commands(child))
+                yield from ((f"{name} {inner}", text, p) for inner, text, p in commands(child))
 
 
 def command_line() -> str:
@@ -68,7 +68,7 @@ def command_line() -> str:
     parser = build_parser()
     lines = ["## Command line", "", "    greybox [--version] [--debug] [--quiet] COMMAND ...", ""]
     lines += ["`-h` tells the options of every command. Exit codes: [files.md](files.md#exit-codes).", ""]
-    found = list(_commands(parser))
+    found = list(commands(parser))
     lines += ["| command | what it does |", "|---|---|"]
     lines += [f"| [`{name}`](#greybox-{name.replace(' ', '-')}) | {_cell(text)} |" for name, text, _ in found]
     for name, _, child in found:
@@ -90,7 +90,8 @@ def _signature(function: Any) -> str:
         if p.kind is p.KEYWORD_ONLY and not starred:
             out.append("*")
             starred = True
-        name = {p.VAR_POSITIONAL: "*", p.VAR_KEYWORD: "**"}.get(p.kind, "") + p.name
+        stars = "*" if p.kind is p.VAR_POSITIONAL else "**" if p.kind is p.VAR_KEYWORD else ""
+        name = stars + p.name
         plain = isinstance(p.default, str | int | float | tuple | type(None))
         out.append(name if p.default is p.empty else f"{name}={p.default!r}" if plain else f"{name}=...")
     return f"({', '.join(n for n in out if n != 'self')})"

@@ -13,7 +13,7 @@ import pytest
 import greybox
 import mpc_export
 from greybox.cli import COMMANDS, build_parser
-from scenarios.studies.docs_reference import _commands, members, page
+from scenarios.studies.docs_reference import commands, members, page
 from tests.docs.pages import PAGES, ROOT, blocks
 
 
@@ -23,7 +23,7 @@ def test_the_page_is_up_to_date() -> None:
 
 
 def test_every_command_and_option_is_described() -> None:
-    found = list(_commands(build_parser()))
+    found = list(commands(build_parser()))
     assert {name.split()[0] for name, _, _ in found} == set(COMMANDS)
     bare = [name for name, summary, child in found if not summary or not child.description]
     bare += [
