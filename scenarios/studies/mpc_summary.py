@@ -123,13 +123,18 @@ def verdict(content: dict[str, Any]) -> str:
     level = f"{100 * content['level']:g} %"
     if not tube or not tube["flights"]:
         return "The tube has not flown yet."
-    counted = f"{tube['crossed']['count']} of {tube['flights']} flights"
-    interval = (
-        f"95 % interval {100 * tube['crossed']['interval'][0]:.0f} to {100 * tube['crossed']['interval'][1]:.0f} %"
-    )
-    broken = tube["p_value"] < 0.05
-    first = f"The tube {'broke' if broken else 'kept'} its promise: at most {level} of flights "
-    first += f"{'were to' if broken else 'may'} go beyond a limit, {counted} did ({interval})."
+    low, high = tube["crossed"]["interval"]
+    counted = f"{tube['crossed']['count']} of {tube['flights']}"
+    span = f"{100 * low:.0f} to {100 * high:.0f} %"
+    if tube["p_value"] < 0.05:
+        first = f"The tube broke its promise: at most {level} of flights were to go beyond a limit, {counted} did "
+        first += f"(95 % interval {span})."
+    elif high <= level:
+        first = f"The tube kept its promise: at most {level} of flights may go beyond a limit, {counted} did "
+        first += f"(95 % interval {span})."
+    else:
+        first = f"The tube kept its promise so far: at most {level} of flights may go beyond a limit, {counted} did; "
+        first += f"so few flights leave {span} open."
     if not plain or not plain["flights"]:
         return first
     return f"{first} The same model without tightening went beyond one in {plain['crossed']['count']} of {plain['flights']}."

@@ -53,8 +53,9 @@ def test_interval_is_exact():
 
 def test_a_promise_that_is_kept_and_one_that_is_broken():
     good = [row("tube", s) for s in range(20)] + [row("hybrid", s, depth=0.004) for s in range(20)]
-    assert "kept its promise" in content(good)["verdict"]
+    assert "kept its promise so far" in content(good)["verdict"]  # the interval of none of 20 goes up to 17 %
     assert "20 of 20" in content(good)["verdict"]
+    assert "kept its promise:" in content([row("tube", s) for s in range(60)])["verdict"]
     bad = [row("tube", s, depth=0.003 if s < 6 else 0.0) for s in range(20)]
     found = content(bad)
     assert "broke its promise" in found["verdict"]
