@@ -7,7 +7,7 @@ console   lines that begin with "$ " (and lines after a trailing backslash) are 
           anything
 toml      parsed; a whole vehicle file is read as one
 json      parsed
-c         compiled without linking, with the headers of the bundles that the page has exported
+c         a file that compiles, with the headers of the bundles that the page has exported before
 text      a sketch, never checked
 """
 
@@ -127,14 +127,11 @@ def run_console(text: str, folder: Path) -> None:
 
 
 def run_c(text: str, folder: Path) -> None:
-    """Compile a C block: its #include lines, the rest inside a function. Raises `AssertionError` with the messages."""
+    """Compile a C file strictly, without linking. Raises `AssertionError` with the compiler's messages."""
     includes = [f"-I{p}" for p in folder.glob("*/c")]
-    head = "".join(f"{line}\n" for line in text.splitlines() if line.startswith("#"))
-    rest = "".join(f"{line}\n" for line in text.splitlines() if not line.startswith("#"))
-    source = f"{head}double height;\nvoid page(void);\nvoid page(void) {{\n{rest}}}\n"
     done = subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Werror", "-fsyntax-only", *includes, "-x", "c", "-"],
-        input=source, capture_output=True, text=True, timeout=60,
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", *includes, "-x", "c", "-"],
+        input=text, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
 
