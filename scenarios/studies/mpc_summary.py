@@ -129,7 +129,7 @@ def verdict(content: dict[str, Any]) -> str:
     if tube["p_value"] < 0.05:
         first = f"The tube broke its promise: at most {level} of flights were to go beyond a limit, {counted} did "
         first += f"(95 % interval {span})."
-    elif high <= level:
+    elif high <= content["level"]:
         first = f"The tube kept its promise: at most {level} of flights may go beyond a limit, {counted} did "
         first += f"(95 % interval {span})."
     else:
