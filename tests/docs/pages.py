@@ -5,9 +5,9 @@ console   lines that begin with "$ " (and lines after a trailing backslash) are 
           runs them in the page's folder, the commands of this Python first in PATH. All other lines are output that must
           come, in this order: blanks count as one, numbers agree within 5 % or one in their last decimal, "..." stands for
           anything
-toml      parsed; a whole vehicle file is read as one
+toml      parsed; one with the schema of vehicle files is read as one
 json      parsed
-c         a file that compiles, with the headers of the bundles that the page has exported before
+c         a file that compiles (where there is a compiler), with the headers of the bundles that the page exported before
 text      a sketch, never checked
 """
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -128,6 +129,8 @@ def run_console(text: str, folder: Path) -> None:
 
 def run_c(text: str, folder: Path) -> None:
     """Compile a C file strictly, without linking. Raises `AssertionError` with the compiler's messages."""
+    if shutil.which("cc") is None:
+        return
     includes = [f"-I{p}" for p in folder.glob("*/c")]
     done = subprocess.run(
         ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", *includes, "-x", "c", "-"],
@@ -148,7 +151,7 @@ def run_page(path: Path, folder: Path) -> int:
             run_console(block.text, folder)
         elif block.language == "toml":
             content = tomllib.loads(block.text)
-            if {"schema", "mass", "rotors"} <= content.keys():
+            if str(content.get("schema", "")).startswith("greybox.vehicle/"):
                 Vehicle.from_dict(content)
         elif block.language == "json":
             json.loads(block.text)

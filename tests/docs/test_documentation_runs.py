@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,26 @@ def test_a_console_block_fails_where_it_should(tmp_path: Path) -> None:
     for wrong in ("$ false\n", "$ false | cat\n", "$ echo mass 1.2 kg\nmass 1.4 kg\n", "$ echo a; echo b\nb\na\n"):
         with pytest.raises(AssertionError):
             run_console(wrong, tmp_path)
+
+
+WRONG = {
+    "python": "assert 1 > 2",
+    "console": "$ greybox check --vehicle nowhere.toml nowhere.csv",
+    "toml": 'schema = "greybox.vehicle/1"\nname = "without rotors"\nmass = 1.0',
+    "json": '{"a": }',
+    "c": "int broken(void) { return nothing; }",
+}
+
+
+@pytest.mark.parametrize("language", WRONG)
+def test_a_wrong_block_of_any_kind_fails(language: str, tmp_path: Path) -> None:
+    if language == "c" and shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    page = tmp_path / "page.md"
+    page.write_text(f"```text\nfree\n```\n\n```{language}\n{WRONG[language]}\n```\n")
+    assert [(b.language, b.line) for b in blocks(page.read_text())] == [("text", 2), (language, 6)]
+    with pytest.raises((AssertionError, ValueError)):
+        run_page(page, tmp_path)
 
 
 def test_shown_output_is_compared_word_by_word() -> None:
