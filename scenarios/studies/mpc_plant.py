@@ -75,6 +75,7 @@ class ModelPlant:
         x, u, p, w = f.sampled.symbols()
         self._step = native(ca.Function("plant_step", [x, u, p, w], [ca.densify(f.sampled.step(x, u, p, w))]))
         self._output = native(ca.Function("plant_output", [x, u, p, w], [ca.densify(f.sampled.output(x, u, p, w))]))
+        self._learned = self._learned_push()
         self._at = [f.parameters[n] for n in names]
         values, vectors = np.linalg.eigh(covariance)
         self._spread = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -86,6 +87,26 @@ class ModelPlant:
             self._levels[[n.startswith("disturbance.") for n in model.dynamics.noises.names]] = 0.0
         self._hover = self._steady()
         self.reset(0)
+
+    def _learned_push(self) -> Any:
+        """(x, u, p) -> mean and standard deviation (n_g) of the learned part, in the units of its noise channels, or None."""
+        f = self.functions
+        self._channels = [self.model.dynamics.noises[s.name] for s in f.learned]
+        self._error = np.zeros(len(self._channels))
+        if not self._channels:
+            return None
+        x, u, p = (ca.MX.sym(n, f.sizes[f"n_{n}"]) for n in "xup")
+        z = f["gp_features_raw"](x, u, p)[0]
+        deviation = ca.sqrt(ca.fmax(f["gp_variance"](z, p), 0.0))
+        return native(ca.Function("plant_learned", [x, u, p], [ca.densify(f["gp_mean"](z, p)), ca.densify(deviation)]))
+
+    def _pushes(self, u: FloatArray) -> FloatArray:
+        """Noise of the present sample and what the learned part adds to it."""
+        w = np.array(self._w)
+        if self._learned is not None:
+            mean, deviation = (v.full().ravel() for v in self._learned(self._x, u, self._p))
+            w[self._channels] += mean + deviation * self._error
+        return w
 
     def _steady(self) -> tuple[FloatArray, FloatArray]:
         f = self.functions
@@ -142,7 +163,7 @@ class ModelPlant:
         if dt is not None and abs(dt - self.sample_time) > 1e-9:
             raise ModelError("an identified model steps at its own sample time", got=f"{dt:g} s")
         self._u = np.asarray(u, dtype=float)
-        self._x = self._step(self._x, self._u, self._p, self._w).full().ravel()
+        self._x = self._step(self._x, self._u, self._p, self._pushes(self._u)).full().ravel()
         self.time += self.sample_time
         self._next_disturbance()
         self._draw()
@@ -150,7 +171,7 @@ class ModelPlant:
     def measure(self, u: Any | None = None) -> dict[str, float]:
         """Measurements now by column, with noise; u: the command that begins now (default: the one before)."""
         command = self._u if u is None else np.asarray(u, dtype=float)
-        y = self._output(self._x, command, self._p, self._w).full().ravel()
+        y = self._output(self._x, command, self._p, self._pushes(command)).full().ravel()
         out = self._noisy(dict(zip(self.functions.outputs.names, y.tolist(), strict=True)))
         names = self.functions.parameters.names
         return {"t": self.time, **({"vbat": float(self._p[names.index("vbat")])} if "vbat" in names else {}), **out}
