@@ -89,7 +89,7 @@ class ModelPlant:
         self.reset(0)
 
     def _learned_push(self) -> Any:
-        """(x, u, p) -> mean and standard deviation (n_g) of the learned part, in the units of its noise channels, or None."""
+        """(x, u, p) -> mean and standard deviation (n_g) of the learned part in its noise channels, or None."""
         f = self.functions
         self._channels = [self.model.dynamics.noises[s.name] for s in f.learned]
         self._error = np.zeros(len(self._channels))
