@@ -341,7 +341,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             continue
         pilot, began = made[name](), time.perf_counter()
         for i, seed in enumerate(todo):
-            record = {"controller": name, **flight(pilot, seed)}
+            record = {"controller": name, "kappa": max(getattr(pilot, "kappa", ()), default=0.0), **flight(pilot, seed)}
             records.append(record)
             append_row(log, record)
             if i % 10 == 9:
