@@ -33,6 +33,7 @@ from scenarios.studies.mpc_flights import (
     fly,
     load_course,
     mission,
+    tightened,
 )
 from scenarios.studies.rows import append_row, read_rows
 
@@ -116,18 +117,20 @@ class Hangar:
         self.task = campaign.mission()
         self.plant = campaign.open_plant()
         self.campaign = campaign
-        self._pilots: dict[Entry, Any] = {}
+        self._pilots: dict[str, Any] = {}
 
     def pilot(self, entry: Entry) -> Any:
-        """The controller of an entry. Raises what `TubeController` raises."""
-        if entry not in self._pilots:
-            if entry.kind == "cascade":
-                own = getattr(self.plant, "airframe", None)
-                made: Any = Cascade(own or airframe_of(load_model(self.campaign.model)), self.task)
-            else:
-                made = controller(load_model(entry.model), self.task, kappa=entry.kappa, moved=entry.moved)
-            self._pilots[entry] = made
-        return self._pilots[entry]
+        """The controller of an entry; those of one model are one, tightened anew. Raises what `TubeController` raises."""
+        cascade = entry.kind == "cascade"
+        if entry.model not in self._pilots:
+            own = getattr(self.plant, "airframe", None)
+            self._pilots[entry.model] = (
+                Cascade(own or airframe_of(load_model(self.campaign.model)), self.task)
+                if cascade
+                else controller(load_model(entry.model), self.task)
+            )
+        made = self._pilots[entry.model]
+        return made if cascade else tightened(made, self.task, kappa=entry.kappa, moved=entry.moved)
 
     def fly(self, entry: Entry, seed: int, *, near: float | None = None, watch: bool = False) -> dict[str, Any]:
         """One flight as a row, with its controller and key."""

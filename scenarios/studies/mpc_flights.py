@@ -183,12 +183,19 @@ class CoursePlanes:
         return out
 
 
-def controller(model: IdentifiedModel, task: Mission, *, kappa: float = 0.0, moved: float = 0.0) -> TubeController:
-    """The tube controller: `kappa` standard deviations tighten planes and tilt, one of them at most the commands."""
+def controller(model: IdentifiedModel, task: Mission) -> TubeController:
+    """The tube controller on the course, not tightened yet."""
     return TubeController(
-        model=model, problem=task.problem, reference=task.course, planes=CoursePlanes(task.course, moved),
-        kappa=(kappa,) * (len(task.course.planes) + 1), kappa_u=min(kappa, 1.0), integrate=False,
-    )  # fmt: skip
+        model=model, problem=task.problem, reference=task.course, planes=CoursePlanes(task.course), integrate=False
+    )
+
+
+def tightened(pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved: float = 0.0) -> TubeController:
+    """The same controller from its next start on, planes and tilt tightened by `kappa` standard deviations, the commands
+    by one of them at most, planes moved by `moved` [m]. Nothing is compiled anew."""
+    pilot.kappa, pilot.kappa_u = (kappa,) * (len(task.course.planes) + 1), min(kappa, 1.0)
+    pilot.planes = CoursePlanes(task.course, moved)
+    return pilot
 
 
 def airframe_of(model: IdentifiedModel) -> Airframe:
