@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -90,7 +91,7 @@ def widened(
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         columns = [f.result() for f in [pool.submit(t) for t in tasks]]
     blocks = []
-    for i, block in enumerate(Innovation().blocks(small, theta, True)):
+    for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):
         assert block.jacobian is not None
         assert block.covariance_slope is not None
         there = [j for j, c in enumerate(columns) if c[i] is not None]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import concurrent.futures
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -246,14 +247,21 @@ class Problem:
             hessian=value.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
         )  # fmt: skip
 
-    def map_records(self, work: Callable[[int], Block]) -> list[Block]:
-        """`work(i)` for every record, on all cores when the engine is compiled; results in order."""
+    def map_records(self, work: Callable[[int], Block]) -> Iterator[Block]:
+        """`work(i)` for every record, in order, on all cores when the engine is compiled; a few ahead of who asks."""
         count = len(self.records)
         workers = min(count, os.cpu_count() or 1)
-        if workers > 1 and self.engine.compiled:
-            with concurrent.futures.ThreadPoolExecutor(workers) as pool:
-                return list(pool.map(work, range(count)))
-        return [work(i) for i in range(count)]
+        if workers == 1 or not self.engine.compiled:
+            yield from map(work, range(count))
+            return
+        with concurrent.futures.ThreadPoolExecutor(workers) as pool:
+            ahead: deque[concurrent.futures.Future[Block]] = deque()
+            for i in range(count):
+                ahead.append(pool.submit(work, i))
+                if len(ahead) > 2 * workers:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
 
 
 def few_samples(dataset: Dataset) -> bool:

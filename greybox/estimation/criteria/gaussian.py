@@ -7,6 +7,7 @@ not, S is diagonal and concentrated out: sigma_i^2 = mean of e_i^2 over all reco
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -35,9 +36,12 @@ class Gaussian:
         return np.where(count > 0, np.maximum(total / np.maximum(count, 1), 1e-300), 1.0)
 
     def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
-        """Sum over all records."""
-        blocks = list(blocks)
-        if any(b.covariance is None and b.variance is None for b in blocks):
+        """Sum over all records; blocks that bring their covariance are looked at once, in order, and not kept."""
+        rest = iter(blocks)
+        first = next(rest, None)
+        blocks = rest if first is None else itertools.chain([first], rest)
+        if first is not None and first.covariance is None and first.variance is None:
+            blocks = list(blocks)
             if any(b.group is not None for b in blocks):
                 return self._grouped(problem, blocks, order, scores)
             blocks = [weighted(b, variance) for variance in [self.variances(blocks)] for b in blocks]

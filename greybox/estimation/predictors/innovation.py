@@ -10,7 +10,7 @@ System Identification, ch. 5: filter-error method.)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,10 +25,12 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Innovation:
-    """Stationary-gain innovation form."""
+    """Stationary-gain innovation form. Records of more than `piece` samples come in pieces, as the sensitivities of one
+    hour do not fit into memory."""
 
     name: str = "innovation"
     has_noise: bool = True
+    piece: int = 20_000
 
     def prepare(self, problem: Problem) -> Mapping[str, object]:
         """Linearise once, symbolically; choose the reference state and command."""
@@ -87,7 +89,7 @@ class Innovation:
         return GainTable(gain=k, zero=zero, derivative=dk), s, ds
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
-        """Innovations of every record."""
+        """Innovations of every record, one after the other: what is done with may be forgotten."""
         riccati = self.riccati(problem, theta, jacobian)
         engine = problem.engine
         free_start = bool(problem.state["estimate_initial"])
@@ -96,34 +98,45 @@ class Innovation:
         noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
         ns = len(engine.active) + noise_columns.size + nd
 
-        def work(i: int) -> Block:
+        def pieces(i: int) -> Iterator[Block]:
             record = problem.records[i]
-            gains, s, ds = self.tables(riccati, record.patterns, nd)
-            x0 = problem.initial_state(theta, i) if free_start else record.x0
-            s0 = None
+            gains, covariance, slope = self.tables(riccati, record.patterns, nd)
+            x = problem.initial_state(theta, i) if free_start else record.x0
+            s: FloatArray | None = None
             if jacobian:
-                s0 = np.zeros((engine.nd, ns))
+                s = np.zeros((engine.nd, ns))
                 if free_start:
                     # Derivative of the moved start in its own chart (identity to first order in the small move).
                     _, _, j2 = engine.inject(record.x0, theta[problem.initial_columns(i)])
-                    s0[:, ns - nd :] = j2.full()
-            run = engine.run(
-                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
-                gains=gains, p=problem.parameters_of(theta, record.flight), dt=record.dt, s0=s0,
-                want=frozenset({"innovations", "sensitivity"}) if jacobian else frozenset({"innovations"}),
-            )  # fmt: skip
-            if run.failed_at is not None:
-                raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
-            assert run.innovations is not None
+                    s[:, ns - nd :] = j2.full()
             columns = [problem.local_columns(record.flight), noise_columns]
             if free_start:
                 columns.append(problem.initial_columns(i))
-            return Block(
-                record=record, e=run.innovations, mask=record.mask, jacobian=run.sensitivity,
-                columns=np.concatenate(columns), covariance=s, covariance_slope=ds, pattern=record.pattern,
-            )  # fmt: skip
+            p = problem.parameters_of(theta, record.flight)
+            length = self.piece if jacobian else record.n
+            for begin in range(0, record.n, length):
+                rows = slice(begin, min(begin + length, record.n))
+                run = engine.run(
+                    x0=x, inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
+                    outputs=record.outputs[rows], mask=record.mask[rows], pattern=record.pattern[rows], gains=gains, p=p,
+                    dt=record.dt, s0=s,
+                    want=frozenset({"innovations", "sensitivity"}) if jacobian else frozenset({"innovations"}),
+                )  # fmt: skip
+                if run.failed_at is not None:
+                    at = begin + run.failed_at
+                    raise FitError(f"the prediction of flight {record.flight} is not finite after sample {at}")
+                assert run.innovations is not None
+                x, s = run.end, run.end_sensitivity
+                yield Block(
+                    record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
+                    columns=np.concatenate(columns), covariance=covariance, covariance_slope=slope,
+                    pattern=record.pattern[rows],
+                )  # fmt: skip
 
-        return problem.map_records(work)
+        count = len(problem.records)
+        if jacobian and any(r.n > self.piece for r in problem.records):
+            return (block for i in range(count) for block in pieces(i))
+        return problem.map_records(lambda i: next(pieces(i)))
 
 
 def noise_names(problem: Problem) -> list[str]:
