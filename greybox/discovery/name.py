@@ -19,6 +19,9 @@ from greybox.discovery.screen import Score
 
 CLEAR = 10.0
 """BIC difference above which one model is said to beat another."""
+SHORT = 0.25
+"""Part of a sample below which lag and delay of the command are not told apart: all that is seen is which command a sample
+still felt, and that is as much a matter of how the log was written."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 
@@ -79,11 +82,25 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
+    rivals = rivals or _same_within_a_sample(nest, fits[best])
     return Addition(
         effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
         delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
         scores=tuple(scores),
     )  # fmt: skip
+
+
+def _same_within_a_sample(nest: Nest, found: Refit) -> dict[str, float]:
+    """Lag and delay as equal rivals where the one that was found is much shorter than a sample."""
+    pair = next((p for p in TOGETHER if len(set(p) & set(found.effects)) == 1), None)
+    if pair is None:
+        return {}
+    mine = next(n for n in pair if n in found.effects)
+    times = [v for (n, _), v in found.theta.items() if n.split(".")[0] == mine]
+    dt = nest.candidates.model.sample_time if times else None
+    if dt is None or max(times) >= SHORT * dt:
+        return {}
+    return dict.fromkeys((mine, *(n for n in pair if n != mine)), 0.5)
 
 
 def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[NestedFit | None, float]:

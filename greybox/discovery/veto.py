@@ -31,6 +31,8 @@ from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
+SEEN = 2.0
+"""Standard errors from its null that at least one parameter of a named effect must be away."""
 WORSE = -1.0
 """Standard errors below zero from which on the mean square ahead counts as grown."""
 NOTHING = 1e-3
@@ -113,6 +115,18 @@ class HeldOut:
             reason = "errors ahead on flights that were not searched do not shrink with it"
             return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead)
         return None
+
+
+def unseen(after: NestedFit, effects: Sequence[str], null: Mapping[str, float]) -> Withheld | None:
+    """Why `effects` of the fit `after` have no name although it is likelier: no estimate is clear of its `null`.
+
+    A likelihood that rises without that is that of a fit gone astray. Effects at a bound have no error and pass.
+    """
+    own = [(e, null[n]) for n, e in after.fit.parameters.items() if n.split(".")[0] in effects]
+    known = [(e, zero) for e, zero in own if np.isfinite(e.std)]
+    if not known or any(abs(e.value - zero) > SEEN * e.std for e, zero in known):
+        return None
+    return Withheld(effects=tuple(effects), reason="no parameter of it is two standard errors from none")
 
 
 def ahead_gain(old: Foresight, new: Foresight) -> tuple[float, float]:

@@ -39,7 +39,7 @@ from greybox.discovery.sensor_noise import (
 from greybox.discovery.spectrum import Spectrum, spectrum
 from greybox.discovery.stability import Stability, stability
 from greybox.discovery.verify import gap_rows, verified, with_proposals
-from greybox.discovery.veto import HeldOut, Withheld
+from greybox.discovery.veto import HeldOut, Withheld, unseen
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
@@ -481,7 +481,9 @@ def _earned(
     while True:
         out = {n for w in withheld for n in w.effects}
         found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha)
-        refusal = held_out.withheld(found.before, found.after) if found is not None and held_out is not None else None
+        refusal = None if found is None else unseen(found.after, found.effects, nest.candidates.null)
+        if refusal is None and found is not None and held_out is not None:
+            refusal = held_out.withheld(found.before, found.after)
         if refusal is None:
             return found, withheld
         withheld.append(refusal)

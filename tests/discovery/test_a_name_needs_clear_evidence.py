@@ -22,6 +22,8 @@ class Refits:
     failed: tuple[tuple[str, ...], ...] = ()
     bound: tuple[str, ...] = ()
     asked: list[tuple[str, ...]] = field(default_factory=list)
+    theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
+    candidates: Any = field(default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01)))
 
     def task(self, effects: Any, start: Any = None, first: Any = None) -> Any:
         return tuple(sorted(effects))
@@ -30,7 +32,8 @@ class Refits:
         self.asked.extend(tasks)
         return [
             SimpleNamespace(
-                effects=chosen, bic=self.bic.get(chosen, 1e9), at_bound=lambda name: name in self.bound,
+                effects=chosen, theta=dict(self.theta), bic=self.bic.get(chosen, 1e9),
+                at_bound=lambda name: name in self.bound,
                 comparable=chosen not in self.failed, fit=SimpleNamespace(converged=chosen not in self.failed),
             )
             for chosen in tasks
@@ -160,3 +163,13 @@ def added(effects: tuple[str, ...]) -> Addition:
         effects=effects, p_value=0.001, delta_bic=100.0, delta_bic_rival=None, rivals={}, before=fit, after=fit,
         scores=(),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("tau", "grouped"), [(0.0003, True), (0.0024, True), (0.0026, False), (0.03, False)])
+def test_a_lag_far_below_a_sample_is_not_told_from_a_delay(tau: float, grouped: bool):
+    bic = {(): 1000.0, ("motor_lag",): 200.0, ("command_delay",): 900.0, ("command_delay", "motor_lag"): 199.0}
+    refits = Refits(bic, theta={("motor_lag.tau", None): tau})
+    found = choose(refits, score("motor_lag", 0.001), score("command_delay", 0.001))
+    assert found is not None
+    assert found.effects == ("motor_lag",)
+    assert found.rivals == ({"motor_lag": 0.5, "command_delay": 0.5} if grouped else {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from greybox.discovery.gap import Foresight
 from greybox.discovery.leftover import Leftover
-from greybox.discovery.veto import HeldOut, ahead_gain, misfit, misfit_of
+from greybox.discovery.veto import HeldOut, ahead_gain, misfit, misfit_of, unseen
 
 LEVELS = {f"{k}.{a}": s for k, s in (("force", 0.1), ("torque", 0.001)) for a in "xyz"}
 
@@ -125,3 +126,18 @@ def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():
 
 def test_an_effect_of_a_sensor_need_not_look_ahead():
     assert verdict(seen(4.0, 0), seen(4.0, 5), stage="sensor") is None
+
+
+def estimates(**values: tuple[float, float]) -> Any:
+    return SimpleNamespace(
+        fit=SimpleNamespace(
+            parameters={f"gyro_bias.{n}": SimpleNamespace(value=v, std=e) for n, (v, e) in values.items()}
+        )
+    )
+
+
+def test_a_name_whose_numbers_are_not_clear_of_none_is_withheld():
+    null = {f"gyro_bias.b_{a}": 0.0 for a in "xyz"}
+    assert unseen(estimates(b_x=(-33.9, 240.0), b_y=(0.01, 0.02)), ("gyro_bias",), null) is not None
+    assert unseen(estimates(b_x=(-33.9, 240.0), b_y=(0.05, 0.02)), ("gyro_bias",), null) is None
+    assert unseen(estimates(b_x=(0.0, float("nan"))), ("gyro_bias",), null) is None
