@@ -67,7 +67,7 @@ TEXTS = {
 }  # fmt: skip
 REHEARSED, REHEARSALS = (0.5, 1.0, 1.5), 12
 """Standard deviations that are rehearsed on the model itself, and flights for each."""
-TUNING = 10
+TUNING = 8
 """Training flights on which touched limits are counted and the constant back-off is chosen."""
 
 
@@ -245,7 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="demo_mpc_out")
-    parser.add_argument("--flights", default="8")
+    parser.add_argument("--flights", default="6")
     parser.add_argument("--jobs", default="2")
     arguments = parser.parse_args(argv)
     return greybox(["mpc", "demo", "--flights", arguments.flights, "--jobs", arguments.jobs, "--out", arguments.out])
