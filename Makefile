@@ -2,6 +2,7 @@
 # make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (some minutes)
 # make test   own environment, install, lint, type check, all fast tests
 # make test-slow   the long studies (hours are not needed; minutes are)
+# make docs   write the pages that are generated from the code: docs/reference.md, docs/effects.md
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= demo_out
@@ -21,7 +22,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: demo demo-mpc test test-slow lint clean install
+.PHONY: demo demo-mpc test test-slow docs lint clean install
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -47,6 +48,10 @@ test: lint
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile
+
+docs: $(STAMP)
+	$(BIN)/python -m scenarios.studies.docs_reference > docs/reference.new && mv docs/reference.new docs/reference.md
+	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
 clean:
 	rm -rf $(VENV) $(OUT) demo_mpc_out build *.egg-info

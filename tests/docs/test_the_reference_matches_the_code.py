@@ -19,7 +19,7 @@ from tests.docs.pages import PAGES, ROOT, blocks
 
 def test_the_page_is_up_to_date() -> None:
     written = (ROOT / "docs" / "reference.md").read_text()
-    assert written == page(), "run: python -m scenarios.studies.docs_reference > docs/reference.md"
+    assert written == page(), "run make docs"
 
 
 def test_every_command_and_option_is_described() -> None:
