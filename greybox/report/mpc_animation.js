@@ -18,6 +18,8 @@
   const one = (id) => root.querySelector('#' + id);
   const points = (list) => list.map((p) => p[0].toFixed(4) + ',' + p[1].toFixed(4)).join(' ');
   const hidden = new Set();
+  // The tube is drawn over the others.
+  const order = [...data.controllers.filter((c) => c.name !== 'tube'), ...data.controllers.filter((c) => c.name === 'tube')];
 
   // ---------------------------------------------------------------------------------------------- geometry
 
@@ -75,7 +77,7 @@
     });
     make(still, 'polyline', { points: points(data.course.path.map((p) => [p[axes[0]], p[axes[1]]])), class: 'wanted' });
     const faint = {}, strong = {}, dots = {};
-    data.controllers.forEach((c) => {
+    order.forEach((c) => {
       faint[c.name] = make(moving, 'polyline', { class: 'faint', style: `stroke: var(--${c.colour})` });
       strong[c.name] = make(moving, 'polyline', { class: 'strong ' + c.stroke, style: `stroke: var(--${c.colour})` });
     });
@@ -83,7 +85,7 @@
     const links = Array.from({ length: data.stages - 1 }, () => make(tube, 'polygon', { class: 'link' }));
     const ellipses = Array.from({ length: data.stages }, () => make(tube, 'polygon', {}));
     const plan = make(tube, 'polyline', { class: 'plan' });
-    data.controllers.forEach((c) => {
+    order.forEach((c) => {
       dots[c.name] = make(marks, 'circle', { r: c.name === 'tube' ? 5 : 4, class: 'dot', style: `fill: var(--${c.colour})` });
     });
     const crosses = make(marks, 'g', {});
@@ -197,7 +199,7 @@
     make(svg, 'text', { x: L + 6, y: Y(LOW) - 6, class: 'beyond-text' }).textContent = 'beyond the limit';
     const band = make(svg, 'polygon', { class: 'band' }), plan = make(svg, 'polyline', { class: 'plan' });
     const lines = {};
-    data.controllers.forEach((c) => {
+    order.forEach((c) => {
       lines[c.name] = make(svg, 'path', { class: 'strong ' + c.stroke, style: `stroke: var(--${c.colour})` });
     });
     return function draw(flight, k, now) {

@@ -83,12 +83,12 @@ def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], tra
 
 def _passages(report: Report, content: Mapping[str, Any], data: Mapping[str, Any]) -> None:
     """What the animation shows, for paper: paths past every limit."""
-    runs = [
-        (run["path"], *look(name)) for f in data["flights"] for name, run in f["runs"].items() if not run["crashed"]
-    ]
+    runs = [(name, run["path"]) for f in data["flights"] for name, run in f["runs"].items() if not run["crashed"]]
+    # The tube is drawn over the others.
+    drawn = [(path, *look(name)) for name, path in sorted(runs, key=lambda r: r[0] == "tube")]
     panels = []
     for plane in content["course"]["planes"]:
-        figure = mpc_figures.paths(runs, content["course"]["path"], plane, title=plane["name"])
+        figure = mpc_figures.paths(drawn, content["course"]["path"], plane, title=plane["name"])
         panels.append((figure, f"Flown paths near {plane['name']}"))
     count = len(data["flights"])
     report.figures(
@@ -168,10 +168,10 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What was flown")
     what, course, tuning = content["what"], content["course"], content["tuning"]
     plants = {
-        "demo": "An independent simulated vehicle with effects that no model was told of (motor lag, rotor and "
-        "body drag, blade "
-        "flapping, a centre of mass beside the middle), sensor noise and gusts. The models were identified from one flight "
-        "of it.",
+        "demo": "An independent simulated vehicle with effects that its data sheet does not know (motor lag, rotor and "
+        "body drag, blade flapping, a centre of mass beside the middle), sensor noise and gusts. The models were "
+        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, body drag and flapping are left to what "
+        "is learned.",
         "plant": f"The plant is {what['plant']}, independent of the model; disturbed by {what['disturbed_by']}.",
         "model": "The plant is the identified model itself, with parameters drawn from their covariance for every flight, "
         f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act here.",
