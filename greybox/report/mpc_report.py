@@ -170,8 +170,8 @@ def _what(report: Report, content: Mapping[str, Any]) -> None:
     plants = {
         "demo": "An independent simulated vehicle with effects that its data sheet does not know (motor lag, rotor and "
         "body drag, blade flapping, a centre of mass beside the middle), sensor noise and gusts. The models were "
-        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, body drag and flapping are left to what "
-        "is learned.",
+        "identified from one flight of it: motor lag, rotor drag and centre of mass are fitted, body drag and flapping "
+        "are left to what is learned.",
         "plant": f"The plant is {what['plant']}, independent of the model; disturbed by {what['disturbed_by']}.",
         "model": "The plant is the identified model itself, with parameters drawn from their covariance for every flight, "
         f"disturbed by {what['disturbed_by']}. What the model's structure misses does not act here.",
