@@ -32,6 +32,7 @@ from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
+from mpc_export.tube.stages import NEEDED
 from scenarios.courses import JUDGING_SEEDS, TRAINING_SEEDS, vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -50,7 +51,7 @@ from scenarios.studies.mpc_campaign import (
     tuned,
     write_segments,
 )
-from scenarios.studies.mpc_flights import load_course, natural_pace
+from scenarios.studies.mpc_flights import load_course, load_plant, natural_pace
 from scenarios.studies.mpc_plant import real_disturbances
 from scenarios.studies.tube_mpc import EFFECTS, ERRORS, HELD, SIGMA
 
@@ -150,6 +151,9 @@ def prepare(
         raise ModelError(
             "--log says what disturbs an identified model", got=f"--plant {plant}", fix="leave one of them out"
         )
+    load_course(course)
+    if plant is not None:
+        load_plant(plant)
     if demo:
         files = identify(out / "models", say)
         main = files.get("hybrid", files["pem"])
@@ -222,7 +226,14 @@ def _learned(model: IdentifiedModel) -> tuple[str, ...]:
 def _readable(path: Path) -> IdentifiedModel:
     if path.exists() and read_json(path).get("schema") == LINEAR:
         raise ModelError("the tube needs a model with position and attitude", got="a linear model", fix="greybox fit")
-    return load_model(path)
+    model = load_model(path)
+    states = model.dynamics.states.names
+    missing = [n for n in NEEDED if not any(s.startswith(f"{n}.") for s in states)]
+    if missing:
+        raise ModelError(
+            f"the tube needs a model with {', '.join(missing)}", got=model.name, fix="fit on flights with pose"
+        )
+    return model
 
 
 def _disturbances(model: IdentifiedModel, logs: Sequence[str]) -> list[Any]:

@@ -124,6 +124,19 @@ BAD = {
 }
 
 
+def test_the_demo_refuses_before_it_identifies(tmp_path, capsys):
+    assert main(["mpc", "demo", "--plant", "nowhere:plant", "--out", str(tmp_path / "out")]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_without_position_cannot_be_flown(models, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(demo_mpc, "NEEDED", ("position", "altitude"))
+    assert main(["mpc", str(models / "model.json"), *COURSE, "--out", str(tmp_path / "out")]) == 2
+    assert "a model with altitude" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("case", list(BAD))
 def test_bad_input_is_one_line(models, tmp_path, capsys, case):
     file, options, word = BAD[case]
