@@ -9,9 +9,15 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST_LINE = 1500
+"""Characters of a message; what is longer quotes a file that is not what it should be, and loses its middle."""
+
 
 class GreyboxError(Exception):
-    """Base of all errors that greybox raises on purpose. `str(error)` is one line for a person."""
+    """Base of all errors that greybox raises on purpose. `str(error)` is one line for a person.
+
+    Characters that a terminal would act on, which may come from a file, are written as escapes.
+    """
 
     def __init__(
         self,
@@ -30,7 +36,12 @@ class GreyboxError(Exception):
         line = "; ".join(parts)
         if fix:
             line += f". Usual fix: {fix}"
-        self.line = " ".join(line.split())
+        line = " ".join(line.split())
+        if not line.isprintable():
+            line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+        if len(line) > LONGEST_LINE:
+            line = f"{line[:LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3:]}"
+        self.line = line
         super().__init__(self.line)
 
     def __str__(self) -> str:

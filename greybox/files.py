@@ -18,6 +18,11 @@ import numpy as np
 
 from greybox.errors import FileFormatError, GreyboxError
 
+LARGEST_JSON = 128 * 2**20
+"""Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120 MB."""
+MOST_CONTAINERS, MOST_QUOTES = 1_000_000, 4_000_000
+"""Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their characters suggest."""
+
 
 class OutputError(GreyboxError, OSError):
     """A result cannot be written where it was asked for."""
@@ -89,17 +94,25 @@ def write_json(path: str | os.PathLike[str], value: Any) -> Path:
 def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dict[str, Any]:
     """Read a JSON object; with `schema` also demand that its "schema" field is that string.
 
-    Raises `FileFormatError` for a missing file, text that is not JSON, or another schema.
+    Raises `FileFormatError` for a missing file, text that is not JSON, a file over the limits of this module, or another
+    schema.
     """
     where = str(path)
     try:
-        value = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = read_limited(path, LARGEST_JSON)
+        if content.count(b"[") + content.count(b"{") > MOST_CONTAINERS or content.count(b'"') > MOST_QUOTES:
+            raise FileFormatError("too many arrays, objects or texts", where=where, fix="pass a file that greybox wrote")
+        value = json.loads(content)
+        if b"\\ud" in content.lower():
+            json.dumps(value, ensure_ascii=False).encode()  # half of a pair is no text that could be written again
     except FileNotFoundError:
         raise FileFormatError("no such file", where=where, fix="check the path") from None
     except OSError as error:
         raise FileFormatError(f"cannot read: {error.strerror}", where=where) from None
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"not JSON ({error})", where=where, fix="pass a file that greybox wrote") from None
+    except MemoryError:
+        raise FileFormatError("too large for the memory", where=where, fix="pass a file that greybox wrote") from None
     if not isinstance(value, dict):
         raise FileFormatError("not a JSON object", where=where, got=type(value).__name__)
     if schema is not None and value.get("schema") != schema:
@@ -109,8 +122,30 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dic
     return value
 
 
+def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:
+    """The bytes of a file or pipe. Raises `FileFormatError` for more than `limit`, `OSError` where it cannot be read."""
+    with open(path, "rb") as stream:
+        # In pieces: the size of a pipe or a device is not known before, and read(limit) would set it all aside.
+        pieces, size = [], 0
+        while piece := stream.read(1 << 20):
+            size += len(piece)
+            if size > limit:
+                raise FileFormatError(
+                    f"more than {limit / 2**20:g} MiB", where=str(path), fix="pass a file that greybox wrote"
+                )
+            pieces.append(piece)
+    return b"".join(pieces)
+
+
 def checksum(value: Any) -> str:
-    """SHA-256 of the canonical JSON of a value."""
+    """SHA-256 of the canonical JSON of a value. Raises `FileFormatError` for one nested too deeply for that."""
+    try:
+        return _checksum(value)
+    except RecursionError:
+        raise FileFormatError("nested too deeply", fix="pass a file that greybox wrote") from None
+
+
+def _checksum(value: Any) -> str:
     text = json.dumps(to_plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.errors import FileFormatError, ModelError
+from greybox.errors import FileFormatError, GreyboxError, ModelError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
@@ -29,6 +29,8 @@ from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
+SHORTEST_SAMPLE = 1e-5
+"""Sample time [s] below which a file is refused: a step sees as many commands as fit into the longest delay."""
 
 
 def library_versions() -> dict[str, str]:
@@ -177,6 +179,9 @@ class IdentifiedModel:
                 "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
             )
         try:
+            for key in ("sample_time", "model_sample_time"):
+                if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
+                    raise ValueError(f"{key} is {float(data[key]):g} s")
             vehicle = Vehicle.from_dict(data["vehicle"], where=where)
             sensors = {s.name: s for s in SENSORS}
             dynamics: Any = PhysicsModel(
@@ -200,7 +205,7 @@ class IdentifiedModel:
                 covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
                     (len(data["covariance"]["names"]),) * 2
                 ),
-                per_flight=data["per_flight"],
+                per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
                 flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
                 process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
                 sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
@@ -216,10 +221,35 @@ class IdentifiedModel:
                 trained_on=tuple(data["trained_on"]),
                 source=where,
             )
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            if isinstance(error, (FileFormatError, ModelError)) or hasattr(error, "line"):
+            _check(model)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
+            if isinstance(error, GreyboxError):
                 raise
             raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
-        if model.weak.shape != (len(dynamics.error_states),):
-            raise FileFormatError("sizes do not fit", where=where, fix="write the file again")
         return model
+
+
+def _check(model: IdentifiedModel) -> None:
+    """Raises `ValueError` where sizes, names or ranges of what a file gave do not fit its model."""
+    dynamics = model.dynamics
+    for what, value, size in (
+        ("weak", model.weak, len(dynamics.error_states)),
+        ("reference state", model.reference_state, len(dynamics.states)),
+        ("reference inputs", model.reference_inputs, len(dynamics.inputs)),
+    ):
+        if value.shape != (size,):
+            raise ValueError(f"{what} has shape {value.shape}, expected ({size},)")
+    levels = [model.process_noise, model.sensor_noise]
+    levels += [] if model.horizon_noise is None else [model.horizon_noise]
+    for numbers in (*levels, model.weak, model.reference_state, model.reference_inputs, model.parameter_vector()):
+        if not np.isfinite(numbers).all():
+            raise ValueError("a number is not finite")
+    if any((v < 0).any() for v in levels):
+        raise ValueError("a noise level is negative")
+    names = [*model.covariance_names, *model.flight_spread, *(n for v in model.per_flight.values() for n in v)]
+    for name in names:
+        model.values[name]
+    if len(set(model.covariance_names)) < len(model.covariance_names):
+        raise ValueError("a name is twice in the covariance")
+    if not all(isinstance(n, str) for n in (*model.trained_on, *model.covariance_names)):
+        raise ValueError("a name is not a text")

@@ -22,6 +22,8 @@ from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
 SCHEMA = "greybox.linear_model/1"
+LONGEST_DELAY = 10_000
+"""Samples; a step of the model sees so many commands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +57,7 @@ class LinearModel:
         noise = np.array(self.noise, dtype=np.float64, copy=True).reshape(p, p)
         if not np.allclose(noise, noise.T, rtol=1e-8, atol=0) or np.linalg.eigvalsh(noise).min(initial=0.0) < 0:
             raise ModelError(f"{self.name}: Lambda is not symmetric positive semi-definite")
-        if not self.dt > 0:
+        if not 0 < self.dt < np.inf:
             raise ModelError(f"{self.name}: sample time must be positive", got=f"{self.dt:g} s")
         object.__setattr__(self, "matrices", Matrices(*arrays))
         object.__setattr__(self, "noise", noise)
@@ -65,9 +67,11 @@ class LinearModel:
             if value.shape != (size,):
                 raise ModelError(f"{self.name}: {what} has shape {value.shape}", expected=f"({size},)")
             object.__setattr__(self, what, value)
+            if not np.isfinite(value).all():
+                raise ModelError(f"{self.name}: {what} is not finite")
         delays = tuple(int(d) for d in self.delays) or (0,) * m
-        if len(delays) != m or min(delays, default=0) < 0:
-            raise ModelError(f"{self.name}: delays {delays}", expected=f"{m} whole numbers >= 0")
+        if len(delays) != m or not 0 <= min(delays, default=0) <= max(delays, default=0) <= LONGEST_DELAY:
+            raise ModelError(f"{self.name}: delays {delays}", expected=f"{m} whole numbers from 0 to {LONGEST_DELAY}")
         object.__setattr__(self, "delays", delays)
 
     @property
@@ -266,6 +270,10 @@ class LinearModel:
                 "checksum does not fit the content", where=where, fix="fit again; do not edit by hand"
             )
         try:
+            ports = [*body["inputs"], *body["outputs"]]
+            texts = [body["name"], body.get("comment", ""), *(s[k] for s in ports for k in ("name", "unit"))]
+            if not all(isinstance(v, str) for v in texts):
+                raise ValueError("a name, unit or comment is not a text")
             m, p = len(body["inputs"]), len(body["outputs"])
             n = len(body["A"])
             shapes = ((n, n), (n, m), (p, n), (p, m), (n, p))
@@ -282,7 +290,7 @@ class LinearModel:
                 input_offset=np.asarray(body["input_offset"], dtype=float),
                 output_offset=np.asarray(body["output_offset"], dtype=float),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise FileFormatError(f"not a linear model ({error})", where=where) from None
 
     def save(self, path: str | os.PathLike[str]) -> Path:

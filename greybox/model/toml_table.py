@@ -14,7 +14,10 @@ _ABSENT: Any = object()
 def describe(value: Any) -> str:
     """A value as it is shown in an error: type and text, short."""
     kinds = {str: "the text", bool: "the boolean", list: "the array", dict: "the table"}
-    text = repr(value)
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # Python refuses to print numbers of thousands of digits
+        text = "that cannot be shown"
     return f"{kinds.get(type(value), 'the value')} {text if len(text) <= 60 else text[:57] + '...'}"
 
 
@@ -72,9 +75,13 @@ class TomlTable:
         """`value`, which stands at `key`, as a finite float."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, "a number is needed here", got=describe(value), fix="write it without quotes")
-        if not math.isfinite(value):
-            raise self.error(key, "not finite", expected="a finite number", got=repr(value), fix="give a real value")
-        return float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise self.error(key, "not finite", expected="a finite number", got=str(number), fix="give a real value")
+        return number
 
     def text(self, key: str, default: Any = _ABSENT) -> str:
         """A text."""

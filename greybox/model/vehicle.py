@@ -9,14 +9,14 @@ import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 
 from greybox.data.channel import TIME, ColumnSpec, canonical_names, is_canonical, rotor_index
-from greybox.errors import UnknownNameError, VehicleError
+from greybox.errors import FileFormatError, UnknownNameError, VehicleError
+from greybox.files import read_limited
 from greybox.frames import GRAVITY
 from greybox.model.toml_table import TomlTable, describe
 
@@ -27,6 +27,8 @@ NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage"
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
+LARGEST_FILE, MOST_DOTS, MOST_ROTORS = 2**18, 200, 64
+"""Bytes of a vehicle file, dots in one line of it (the cost of a dotted key grows with its square), and rotors."""
 TRIANGLE_SLACK = 0.05
 """Relative slack of the triangle inequality of inertia (values come from rounded tables)."""
 
@@ -185,7 +187,16 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     """
     where = str(path)
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        text = read_limited(path, LARGEST_FILE).decode("utf-8-sig").replace("\r\n", "\n")
+        if any(line.count(".") > MOST_DOTS for line in text.split("\n")):
+            raise VehicleError(f"a line with more than {MOST_DOTS} dots", where=where, fix="give one value a line")
+        data = tomllib.loads(text)
+    except FileFormatError:
+        raise VehicleError(
+            f"more than {LARGEST_FILE // 1024} KiB", where=where, fix="pass a vehicle file, not a log"
+        ) from None
+    except VehicleError:
+        raise
     except FileNotFoundError:
         raise VehicleError("no such vehicle file", where=where, fix="check the path") from None
     except IsADirectoryError:
@@ -194,7 +205,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
         raise VehicleError("not a text file", where=where, fix="pass a TOML file saved as UTF-8") from None
     except OSError as error:
         raise VehicleError(f"cannot read: {error.strerror or error}", where=where, fix="check the path") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # besides its own, tomllib lets those of numbers and dates through
         raise VehicleError(f"not valid TOML: {error}", where=where, fix="correct the line that is named") from None
     return Vehicle.from_dict(data, where=where)
 
@@ -272,6 +283,8 @@ def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
 
 def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
     rotors = []
+    if len(top.array("rotor", None)) > MOST_ROTORS:
+        raise top.error("rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor")
     for i, value in enumerate(top.array("rotor", None)):
         table = TomlTable(value, file=top.file, path=f"rotor[{i}]")
         table.known(("position", "spin"))

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greybox.errors import FileFormatError
+from greybox.errors import FileFormatError, GreyboxError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
@@ -58,7 +58,9 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
     try:
         base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects)
         posterior = GPPosterior.from_dict(data["gp"])
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
+        if isinstance(error, GreyboxError):
+            raise
         raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
 

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
-from greybox.errors import DataError, FileFormatError, ModelError
+from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError
 from greybox.estimation.linear.logs import ChannelSpec, parse_channels
 from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.model.effect import Effect
@@ -151,7 +151,9 @@ class OutputHybrid:
                 base=base, posterior=GPPosterior.from_dict(body["gp"]), train_seconds=float(body["train_seconds"]),
                 report=body["report"],
             )  # fmt: skip
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError, IndexError, ArithmeticError) as error:
+            if isinstance(error, GreyboxError):
+                raise
             raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write it again") from None
 
 

@@ -370,10 +370,13 @@ class GPPosterior:
             kernels = [Kernel.from_dict(k) for k in plain["kernels"]]
             m = int(plain["points"])
             n_out = len(plain["outputs"])
-            lower = np.tril_indices(m)
             values: dict[str, Any] = {"support": arrays["support"], "weights": arrays["weights"]}
-            for name in ("explained", "uncertain"):
-                packed = np.asarray(arrays[name], dtype=np.float64)
+            given = {name: np.asarray(arrays[name], dtype=np.float64) for name in ("explained", "uncertain")}
+            for name, packed in given.items():  # before anything of size M^2 is made
+                if m < 0 or packed.size != n_out * (m * (m + 1) // 2):
+                    raise ValueError(f"{name} has {packed.size} numbers, not those of {m} points and {n_out} outputs")
+            lower = np.tril_indices(m if n_out else 0)
+            for name, packed in given.items():
                 full = np.zeros((n_out, m, m))
                 full[:, lower[0], lower[1]] = packed.reshape(n_out, lower[0].size)
                 values[name] = full
@@ -390,7 +393,7 @@ class GPPosterior:
                 **{name: plain[name] for name in _VECTORS},
                 **values,
             )
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
             raise FileFormatError(f"not a GP posterior: {error!r}", fix="pass what greybox wrote") from None
 
     def to_dict(self) -> dict[str, Any]:
