@@ -20,12 +20,13 @@ import hashlib
 import io
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -83,22 +84,53 @@ class ExportBundle:
 
     @staticmethod
     def load(folder: str | os.PathLike[str]) -> ExportBundle:
-        """Read a bundle and check that its files are whole. Raises `FileFormatError`."""
+        """Read a bundle and check that its files are whole and inside it. Raises `FileFormatError`."""
         where = Path(folder)
         manifest = read_json(where / "manifest.json", schema=SCHEMA)
         if manifest.get("checksum") != checksum({k: v for k, v in manifest.items() if k != "checksum"}):
             raise FileFormatError("the checksum does not fit", where=str(where / "manifest.json"), fix="export again")
+        _check_manifest(manifest, str(where / "manifest.json"))
+        inside = where.resolve()
         for name, digest in manifest["files"].items():
             path = where / name
-            if not path.is_file() or file_sha256(path) != digest:
+            try:
+                if not path.resolve().is_relative_to(inside):
+                    raise FileFormatError("leads out of the bundle", where=str(path), fix="export again")
+                whole = path.is_file() and file_sha256(path) == digest
+            except (OSError, ValueError, RuntimeError):  # no name for a file, a loop of links
+                whole = False
+            if not whole:
                 raise FileFormatError("missing or changed", where=str(path), fix="export again")
         return ExportBundle(folder=where, manifest=manifest)
 
     def rebuild(self, names: Iterable[str] | None = None) -> dict[str, Any]:
-        """The CasADi functions by name, from the bundle's own numbers."""
+        """The CasADi functions by name, from the bundle's own numbers. The code is this package's, not the bundle's.
+
+        Raises `FileFormatError` where the numbers are no functions or are larger than `rebuild.py` allows.
+        """
         from mpc_export.rebuild.rebuild import load
 
-        return load(self.folder / "python", names)
+        try:
+            return load(self.folder / "python", names)
+        except Exception as error:  # CasADi says a wrong tape with errors of all kinds
+            raise FileFormatError(
+                f"cannot be rebuilt ({type(error).__name__}: {error})", where=str(self.folder / "python"), fix="export again"
+            ) from None
+
+
+def _check_manifest(manifest: Mapping[str, Any], where: str) -> None:
+    """Raises `FileFormatError` where what becomes a path or a C symbol is not one."""
+    try:
+        check_name(manifest["name"])
+        for function in manifest["functions"]:
+            if not isinstance(function["name"], str) or not re.fullmatch(r"[A-Za-z]\w*", function["name"], re.ASCII):
+                raise TypeError(f"{function['name']!r} is no name of a function")
+        for name, digest in manifest["files"].items():
+            path = PurePosixPath(name)
+            if path.is_absolute() or ".." in path.parts or "\\" in name or "\0" in name or not isinstance(digest, str):
+                raise FileFormatError(f"{name!r} is not a file of the bundle", where=where, fix="export again")
+    except (KeyError, TypeError, AttributeError, ModelError) as error:
+        raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="export again") from None
 
 
 def write_bundle(

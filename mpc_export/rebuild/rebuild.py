@@ -20,6 +20,8 @@ import casadi as ca
 import numpy as np
 
 SCHEMA = "greybox.tape/1"
+LARGEST, LARGEST_ARCHIVE = 4_000_000, 500_000_000
+"""Entries of one matrix or slots of one tape, and bytes of functions.npz unpacked: what is larger was not exported."""
 
 
 def _if_else_zero(c: Any, x: Any) -> Any:
@@ -63,6 +65,8 @@ def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -
     if text.get("schema") != SCHEMA:
         raise ValueError(f"{where}: schema {text.get('schema')!r}, expected {SCHEMA!r}")
     with np.load(where / "functions.npz", allow_pickle=False) as stored:
+        if sum(entry.file_size for entry in stored.zip.infolist()) > LARGEST_ARCHIVE:
+            raise ValueError(f"{where}: functions.npz unpacks to more than {LARGEST_ARCHIVE} bytes")
         arrays = {name: stored[name] for name in stored.files}
     tapes, operations = text["functions"], text["operations"]
     places = {tape["name"]: k for k, tape in enumerate(tapes) if tape["public"]}
@@ -82,7 +86,11 @@ def load(folder: str | Path | None = None, names: Iterable[str] | None = None) -
 
 def sparsity(port: Mapping[str, Any]) -> Any:
     """casadi.Sparsity of {rows, columns} (dense) or {rows, columns, colind, row}."""
+    if not (0 <= port["rows"] <= LARGEST and 0 <= port["columns"] <= LARGEST):
+        raise ValueError(f"a matrix of {port['rows']} x {port['columns']}")
     if "colind" not in port:
+        if port["rows"] * port["columns"] > LARGEST:
+            raise ValueError(f"a matrix of {port['rows']} x {port['columns']}")
         return ca.Sparsity.dense(port["rows"], port["columns"])
     return ca.Sparsity(port["rows"], port["columns"], port["colind"], port["row"])
 
@@ -92,6 +100,8 @@ def _scalar(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
     inputs = [ca.SX.sym(port["name"], sparsity(port)) for port in tape["in"]]
     given = [x.nonzeros() for x in inputs]
     results: list[list[Any]] = [[0.0] * sparsity(port).nnz() for port in tape["out"]]
+    if not 0 <= tape["work"] <= LARGEST:
+        raise ValueError(f"{tape['name']}: {tape['work']} slots")
     work: list[Any] = [None] * tape["work"]
     unary, binary = [UNARY.get(n) for n in names], [BINARY.get(n) for n in names]
     kinds = {n: i for i, n in enumerate(names)}
@@ -151,6 +161,8 @@ def _matrix(tape: Mapping[str, Any], names: list[str], arrays: Mapping[str, Any]
             work[results[0]] = BINARY[name](given[0], given[1])
         else:
             raise ValueError(f"{tape['name']}: unknown operation {name}")
+        if any(work[slot].nnz() > LARGEST for slot in results if slot in work):
+            raise ValueError(f"{tape['name']}: {name} makes a matrix of more than {LARGEST} entries")
     outputs = []
     for port, parts in zip(tape["out"], segments, strict=True):
         shape = sparsity(port)
@@ -183,6 +195,8 @@ def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:
         return ca.project(given[0], sparsity(extra))
     if name == "SPARSITY_CAST":
         return ca.MX(sparsity(extra), _column(given[0]))
+    if name == "HORZREPMAT" and given[0].size2() * extra["n"] > LARGEST:
+        raise ValueError(f"a matrix of {extra['n']} copies")
     if name == "HORZREPMAT":
         return ca.repmat(given[0], 1, extra["n"])
     if name == "HORZREPSUM":
