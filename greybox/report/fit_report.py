@@ -47,6 +47,7 @@ def fit_report(
     if validation:
         residual_section(report, validation)
     _identifiability(report, fit)
+    _next(report, fit, validation)
     _reproduce(report, fit)
     return report.html()
 
@@ -192,6 +193,33 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
             caption="Correlations of the estimates; blue positive, orange negative, numbers from 0.3 upward.",
             alt="Matrix of the correlations between parameter estimates",
         )
+
+
+def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] | None) -> None:
+    report.section("What to do next")
+    parameters = fit["parameters"]
+    bound = [n for n, p in parameters.items() if p.get("at_bound")]
+    prior = [n for n, p in parameters.items() if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")]
+    texts = []
+    if not fit["status"]["converged"]:
+        texts.append("Do not use these numbers yet: follow the advice above until the fit converges.")
+    if bound:
+        texts.append(
+            f"At a bound: {', '.join(bound)}. Leave the effect out, or ask greybox discover what else the data may mean."
+        )
+    if prior:
+        texts.append(
+            f"Decided by the vehicle file rather than by the flights: {', '.join(prior)}. Measure them, or let greybox plan "
+            "propose a flight that shows them."
+        )
+    if not validation:
+        texts.append("Give flights of their own with --test: errors on the flights of the fit look too good.")
+    texts.append(
+        "What the model still misses has a name or none: greybox discover says which. What has none can be learned: "
+        "greybox learn model.json --train LOG ..."
+    )
+    texts.append("For a controller: greybox export model.json --out DIR writes C and CasADi with a verifier.")
+    report.bullets(texts)
 
 
 def _reproduce(report: Report, fit: Mapping[str, Any]) -> None:

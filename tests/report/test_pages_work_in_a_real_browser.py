@@ -1,0 +1,139 @@
+"""Reports in headless Chromium: no console errors, nothing cut off at phone width, both colour schemes, keyboard, paper."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from greybox.report.discover_report import discover_report
+from greybox.report.fit_report import fit_report
+from greybox.report.learn_report import learn_report
+from tests.discovery.test_the_report_tells_every_verdict import content as discovery
+from tests.report.synthetic_fit import make_fit, make_flights, make_validation
+from tests.residual.test_learn_report_says_what_was_learned import content as learned
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("chromium") and shutil.which("chromedriver")) or importlib.util.find_spec("selenium") is None,
+    reason="Chromium, its driver or selenium (extra `test`) is not installed",
+)
+PAGES = {
+    "fit": lambda: fit_report(make_fit(), make_flights(), make_validation()),
+    "discover": lambda: discover_report(discovery()),
+    "learn": lambda: learn_report(learned()),
+}
+PHONE, DESKTOP = (390, 844), (1280, 900)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(shutil.which("chromium"))
+    for flag in (
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+        f"--user-data-dir={tmp_path_factory.mktemp('chromium')}",
+    ):  # fmt: skip
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(shutil.which("chromedriver"))))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module", params=PAGES)
+def page(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, browser: Any) -> Any:
+    path = tmp_path_factory.mktemp("page") / f"{request.param}.html"
+    path.write_text(PAGES[request.param](), encoding="utf-8")
+    browser.get(path.as_uri())
+    return browser
+
+
+def size(browser: Any, width: int, height: int) -> None:
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
+    )
+
+
+def scheme(browser: Any, name: str) -> None:
+    features = [{"name": "prefers-color-scheme", "value": name}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "screen", "features": features})
+
+
+def test_the_console_stays_empty_and_nothing_is_fetched(page: Any):
+    assert [entry["message"] for entry in page.get_log("browser")] == []
+    fetched = page.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert [f for f in fetched if not f.startswith("data:")] == []
+
+
+@pytest.mark.parametrize("screen", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_nothing_is_wider_than_the_screen(page: Any, screen: tuple[int, int]):
+    size(page, *screen)
+    wide, texts = page.execute_script(
+        "const small = [...document.querySelectorAll('svg text')].map(t => t.getBoundingClientRect().height).filter(h => h);"
+        "return [document.documentElement.scrollWidth, small]"
+    )
+    assert wide <= screen[0]
+    # Letters of the plots, as they are seen on the screen [CSS pixels].
+    assert not texts or sorted(texts)[len(texts) // 10] >= 7
+
+
+def luminance(colour: str) -> float:
+    r, g, b = (float(v) / 255 for v in colour[colour.index("(") + 1 : -1].split(",")[:3])
+    r, g, b = (v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in (r, g, b))
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+@pytest.mark.parametrize("name", ["light", "dark"])
+def test_text_has_contrast_in_both_colour_schemes(page: Any, name: str):
+    size(page, *DESKTOP)
+    scheme(page, name)
+    text, ground = page.execute_script(
+        "const s = getComputedStyle(document.body), h = getComputedStyle(document.documentElement);"
+        "const clear = 'rgba(0, 0, 0, 0)';"
+        "return [s.color, s.backgroundColor === clear ? h.backgroundColor : s.backgroundColor]"
+    )
+    a, b = sorted((luminance(text), luminance(ground)))
+    assert (b + 0.05) / (a + 0.05) >= 4.5  # WCAG 2.1, 1.4.3
+    assert (luminance(ground) < 0.2) == (name == "dark")
+
+
+def test_the_keyboard_reaches_every_link_fold_and_table_that_scrolls(page: Any):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    size(page, *DESKTOP)
+    wanted = page.execute_script(
+        "const all = [...document.querySelectorAll('a[href], summary, button, input, [tabindex=\"0\"]')];"
+        "return all.filter(e => e.checkVisibility()).length"
+    )
+    page.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
+    seen = set()
+    for _ in range(wanted + 5):
+        page.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
+        seen.add(
+            page.execute_script(
+                "return document.activeElement.outerHTML.slice(0, 300) + document.activeElement.offsetTop"
+            )
+        )
+    assert wanted > 0
+    assert len(seen) >= wanted
+
+
+def test_it_prints_to_paper(page: Any):
+    printed = base64.b64decode(page.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert printed[:5] == b"%PDF-"
+    assert 5_000 < len(printed) < 6_000_000
+
+
+def test_it_is_under_six_megabytes_and_says_what_to_do_next(page: Any):
+    source = page.page_source
+    assert len(source.encode()) < 6_000_000
+    assert "What to do next" in source
