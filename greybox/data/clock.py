@@ -65,7 +65,7 @@ def read_clock(t: FloatArray, *, max_gap: float) -> Clock:
     inside = steps[steps <= max(max_gap, 1.5 * middle)]
     low, high = np.percentile(inside, [1, 99])
     single = inside[(inside > 0.5 * middle) & (inside < 1.5 * middle)]
-    mean = float(single.mean())
+    mean = float(single.mean()) if single.size else middle  # steps of all sizes: rows out of order
     rate = 1.0 / mean
     candidates = [1.0 / _round_figures(rate, 2), 1.0 / _round_figures(rate, 3), _round_figures(mean, 3)]
     long = max(blocks, key=lambda b: b[1] - b[0])

@@ -50,6 +50,7 @@ def test_what_an_imu_log_cannot_show_is_listed():
     assert {(u.check, u.reason) for u in report.not_judged} == {
         ("attitude", "no attitude"),
         ("alignment", "no attitude"),
+        ("motion", "no position with velocity"),
     }
     assert "cannot be judged: attitude (no attitude" in report.summary()
 
@@ -198,7 +199,7 @@ def test_a_dataset_can_be_checked_and_names_must_differ():
 
 
 def test_checks_have_distinct_names_and_questions():
-    assert len({c.name for c in CHECKS}) == len(CHECKS) == 10
+    assert len({c.name for c in CHECKS}) == len(CHECKS) == 11
     assert all(c.question.endswith("?") for c in CHECKS)
 
 

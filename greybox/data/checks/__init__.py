@@ -16,6 +16,7 @@ from greybox.data.checks import (
     frozen,
     gaps,
     gravity,
+    motion,
     motors,
     ranges,
     saturation,
@@ -48,6 +49,7 @@ CHECKS: tuple[Check, ...] = (
     attitude.CHECK,
     motors.CHECK,
     alignment.CHECK,
+    motion.CHECK,
     excitation.CHECK,
 )
 """All checks, in the order in which they are made."""
