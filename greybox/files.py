@@ -20,7 +20,7 @@ from greybox.errors import FileFormatError, GreyboxError
 
 LARGEST_JSON = 128 * 2**20
 """Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120 MB."""
-MOST_CONTAINERS, MOST_QUOTES = 1_000_000, 4_000_000
+MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
 """Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their characters suggest."""
 
 

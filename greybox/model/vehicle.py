@@ -5,6 +5,7 @@ A number is exact (sigma 0) or a prior (value and one standard deviation). SI un
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 from collections.abc import Mapping
@@ -271,7 +272,7 @@ def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
             f"singular or not positive definite (principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2)",
             fix="give positive moments about the centre of mass",
         )
-    if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE_SLACK) + 3 * float(np.linalg.norm(sigma)):
+    if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE_SLACK) + 3 * math.hypot(*sigma):
         raise top.error(
             "inertia",
             f"no body has the principal moments {', '.join(f'{v:.3g}' for v in principal)} kg m^2",

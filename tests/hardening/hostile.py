@@ -161,7 +161,7 @@ def _one_change(tree: Any, rng: random.Random) -> None:
             parent[key], parent[other] = parent[other], child
         case 3:
             value: Any = child
-            for _ in range(rng.choice([1, 2, 300])):
+            for _ in range(rng.choice([1, 2, 50])):
                 value = [value] if rng.random() < 0.5 else {"value": value}
             parent[key] = value
         case _:
