@@ -1,4 +1,4 @@
-"""Check of the position against the velocity: one in millimetres, or a clock that runs at another rate, shows in their ratio.
+"""Check of the position against the velocity: millimetres, or a clock of another rate, show in their ratio.
 
 Displacements over half a second are compared with the integral of the velocity over the same time.
 """
