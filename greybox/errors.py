@@ -69,7 +69,7 @@ class UnknownNameError(GreyboxError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], *, where: str | None = None) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(name)[:200], names, n=3, cutoff=0.5)  # a file may say anything
         shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
         fix = f"did you mean {' or '.join(near)}?" if near else f"known: {shown}"
         super().__init__(f"unknown {kind} '{name}'", where=where, fix=fix)
