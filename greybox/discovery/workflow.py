@@ -341,7 +341,12 @@ def discover(
     if noise is not None:
         say("search with the sensors' own noise", 0.73)
         again, at = dressed(done.nest, done.at, noise)
-        done = search.run(again, at, done)
+        redone = search.run(again, at, done) if at.bic < done.at.bic else None
+        if redone is not None and redone.at.bic < done.at.bic:
+            done = redone
+        else:
+            noise = None
+            warnings.append("a fit with the sensors' own noise went astray: names are those of white sensors")
     nest, at, additions, scores = done.nest, done.at, done.additions, done.scores
     withheld = done.withheld
     warnings += done.warnings

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from greybox.data import Dataset, dataset_from_arrays
+from greybox.discovery import workflow
+from greybox.discovery.sensor_noise import Suspected
 from greybox.discovery.workflow import Discovery, discover
 from greybox.errors import GreyboxError
 from greybox.files import to_plain
@@ -138,6 +140,16 @@ def test_clean_flights_miss_nothing_and_the_answer_repeats(short: None):
     assert {k: v for k, v in a.to_dict().items() if k not in varies} == {
         k: v for k, v in b.to_dict().items() if k not in varies
     }
+
+
+def test_a_noise_fit_that_goes_astray_leaves_the_names_alone(short: None, monkeypatch: pytest.MonkeyPatch):
+    # Found on real flights: the fit with the sensors' own noise diverged, and every name was lost.
+    suspected = Suspected(parts=(), gains={}, noise={})
+    monkeypatch.setattr(workflow, "coloured_sensors", lambda lean, data: suspected)
+    monkeypatch.setattr(workflow, "dressed", lambda nest, at, noise: (nest, nest.refit(())))
+    found = discover(vehicle(), flown(DAMPING))
+    assert [e["name"] for e in found.effects()] == ["rotational_damping"]
+    assert any("astray" in w for w in found.warnings)
 
 
 def test_known_effects_are_not_offered_again(short: None):
