@@ -1,5 +1,5 @@
 # make demo   own environment, install, fit the shipped real flights, write a report, print where it is
-# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (some minutes)
+# make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about four minutes)
 # make test   own environment, install, lint, type check, all fast tests
 # make test-slow   the long studies (hours are not needed; minutes are)
 # make docs   write the pages that are generated from the code: docs/reference.md, docs/effects.md
