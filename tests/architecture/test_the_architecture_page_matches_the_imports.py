@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 
-from tests.architecture.test_imports import BASE, ROOT, ROOMS, files, imports
+from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
 SCENARIOS = ("plants", "excitation", "courses", "flights")
@@ -57,6 +57,6 @@ def test_the_picture_names_every_room_in_order():
 
 def test_folders_that_the_page_sends_you_to_are_there():
     text = PAGE.read_text(encoding="utf-8")
-    named = [n for n in re.findall(r"`((?:greybox|mpc_export|scenarios)/[\w/.]+)`", text)]
+    named = re.findall(r"`((?:greybox|mpc_export|scenarios)/[\w/.]+)`", text)
     assert named
     assert [n for n in named if not (ROOT / n).exists()] == []
