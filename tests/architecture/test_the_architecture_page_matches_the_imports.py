@@ -49,7 +49,7 @@ def test_the_table_is_what_the_files_import():
 
 
 def test_the_picture_names_every_room_in_order():
-    picture = re.findall(r"```\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)[0]
+    picture = re.findall(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)[0]
     line = next(row for row in picture.splitlines() if "data ---" in row)
     assert re.findall(r"[a-z]+", line) == [r for r in ROOMS if r != "report"]
     assert not set(re.findall(r"[a-z]+", line)) & set(BASE)
