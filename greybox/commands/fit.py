@@ -38,7 +38,7 @@ def add(subparsers: Any) -> None:
         "fit",
         help="fit a Newton-Euler model to flight logs",
         description="Fit a Newton-Euler model to flight logs by the prediction error method. Writes fit.json, model.json "
-        "and report.html. Exit code 0: converged, 1: not converged, 2: bad input.",
+        "and report.html. Exit code 0: converged, 1: not converged, 2: bad input, 130: interrupted.",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
@@ -129,6 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
+    from greybox.estimation.status import Code
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
@@ -196,6 +197,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not quiet:
         print(result.summary())
         print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
+    if result.status.code is Code.INTERRUPTED:
+        raise KeyboardInterrupt
     return 0 if result.converged else 1
 
 
