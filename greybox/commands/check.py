@@ -24,15 +24,8 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 
 def run(arguments: argparse.Namespace) -> int:
     """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a fit."""
+    from greybox.commands.judgement import tell
     from greybox.data.checks import check_logs
-    from greybox.files import dump_json, write_json
     from greybox.model.vehicle import read_vehicle
 
-    report = check_logs(arguments.logs, read_vehicle(arguments.vehicle), mapping=arguments.mapping)
-    if arguments.json == "-":
-        print(dump_json(report.to_dict()), end="")
-    else:
-        if arguments.json:
-            write_json(arguments.json, report.to_dict())
-        print(report.summary())
-    return 0 if report.ok else 1
+    return tell(check_logs(arguments.logs, read_vehicle(arguments.vehicle), mapping=arguments.mapping), arguments.json)

@@ -126,15 +126,8 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something blocks."""
-    from greybox.files import dump_json, write_json
+    from greybox.commands.judgement import tell
     from greybox.model.plausibility import check_vehicle
     from greybox.model.vehicle import read_vehicle
 
-    report = check_vehicle(read_vehicle(arguments.vehicle))
-    if arguments.json == "-":
-        print(dump_json(report.to_dict()), end="")
-    else:
-        if arguments.json:
-            write_json(arguments.json, report.to_dict())
-        print(report.summary())
-    return 0 if report.ok else 1
+    return tell(check_vehicle(read_vehicle(arguments.vehicle)), arguments.json)
