@@ -34,10 +34,7 @@ from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
 from mpc_export.tube.stages import NEEDED
 from scenarios.courses import JUDGING_SEEDS, TRAINING_SEEDS, vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly, write_log
-from scenarios.plants.presets import controller_for
+from scenarios.plants.flight_log import write_log
 from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies.mpc_campaign import (
     NEAR,
@@ -53,7 +50,7 @@ from scenarios.studies.mpc_campaign import (
 )
 from scenarios.studies.mpc_flights import load_course, load_plant, natural_pace
 from scenarios.studies.mpc_plant import real_disturbances
-from scenarios.studies.tube_mpc import EFFECTS, ERRORS, HELD, SIGMA
+from scenarios.studies.tube_mpc import EFFECTS, ERRORS, HELD, SIGMA, training_log
 
 Say = Callable[[str], None]
 DEMO_PLANT = "scenarios.courses:vehicle"
@@ -90,10 +87,8 @@ def identify(out: Path, say: Say = print) -> dict[str, Path]:
     if done.exists() and read_json(done) == settings and all(p.exists() for p in files.values()):
         return files
     plant = vehicle()
-    path = RandomWaypoints(box=(2.0, 2.0, 0.4), speed=4.5, shortest=0.9, longest=1.8, yaw_swing=1.0)
     say(f"flying the plant for {SECONDS:g} s, random waypoints with excitation in gusts")
-    log = fly(plant, controller_for(plant), path, rich_excitation(0.4), SECONDS, seed=TRAINING_SEEDS[0], warm_up=1.0)
-    columns = {n: v for n, v in log.items() if not n.startswith("omega")}
+    columns = training_log(SECONDS)
     make_folder(out)
     write_log(out / "training.csv", columns)
     data = dataset_from_arrays(columns.pop("t"), columns, name="training")

@@ -24,13 +24,13 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem, Weights
-from mpc_export.tube.stages import block
+from mpc_export.tube.risk import touching
 from scenarios.courses import Course
 from scenarios.plants.airframe import Airframe, Rotor
 from scenarios.plants.controller import CascadeController, Setpoint
 from scenarios.studies.mpc_plant import ModelPlant
 from scenarios.studies.mpc_trace import Trace
-from scenarios.studies.tube_mpc import CRASH, REACH
+from scenarios.studies.tube_mpc import CRASH, REACH, tracking_cost
 
 STEP = 0.02
 """Sample time of plans, or the multiple of the model's own that comes next [s]."""
@@ -285,7 +285,7 @@ def fly(
         if pilot.plan is not None and pilot.plan is not last:
             last = pilot.plan
             solve.append(1e3 * last.outcome.seconds)
-            pairs += touched(pilot, near) if near is not None else 0
+            pairs += int(touching(pilot.solver, near)[:-1].sum()) if near is not None else 0
             if trace is not None:
                 trace.look(pilot)
     path, given = np.array(rows), np.array(commands)
@@ -320,25 +320,6 @@ def _takes_argument(function: Any) -> bool:
         return len(inspect.signature(function).parameters) > 0
     except (TypeError, ValueError):
         return False
-
-
-def touched(pilot: Any, near: float) -> int:
-    """Planes that the first stage of the plan is closer to than `near` [m]."""
-    data = pilot.solver.data
-    planes = data["plane"][1]
-    left = planes[:, 3] - planes[:, :3] @ data["x"][1][block(pilot.functions, "position")]
-    return int(((planes[:, :3] ** 2).sum(axis=1) > 0) @ (left < near))
-
-
-def tracking_cost(path: FloatArray, commands: FloatArray, reference: Any, w: Weights) -> float:
-    """Tracking cost of a flight (n, 13) with the controller's weights, per sample."""
-    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw[: len(path)]
-    terms = (
-        w.position * (path[:, :3] - reference.position[: len(path)]),
-        w.velocity * (path[:, 3:6] - reference.velocity[: len(path)]),
-        w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
-    )  # fmt: skip
-    return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
 
 
 def _cells(times: FloatArray, nearest: FloatArray) -> list[float]:

@@ -92,12 +92,17 @@ PROBLEM = TubeProblem(
 # ------------------------------------------------------------------------------------------------ models
 
 
-def training_flight(seconds: float = 60.0) -> Dataset:
-    """One log: random waypoints at up to 4.5 m/s with excitation, in the gusts of the course."""
+def training_log(seconds: float) -> dict[str, Array]:
+    """Columns of one log: random waypoints at up to 4.5 m/s with excitation, in the gusts of the course."""
     plant = vehicle()
     path = RandomWaypoints(box=(2.0, 2.0, 0.4), speed=4.5, shortest=0.9, longest=1.8, yaw_swing=1.0)
     log = fly(plant, controller_for(plant), path, rich_excitation(0.4), seconds, seed=TRAINING_SEEDS[0], warm_up=1.0)
-    columns = {n: v for n, v in log.items() if not n.startswith("omega")}
+    return {n: v for n, v in log.items() if not n.startswith("omega")}
+
+
+def training_flight(seconds: float = 60.0) -> Dataset:
+    """The log as a data set."""
+    columns = training_log(seconds)
     return dataset_from_arrays(columns.pop("t"), columns, name="training")
 
 
@@ -231,7 +236,8 @@ def flight(
     error = np.linalg.norm(path[:, :3] - reference.position[: len(path)], axis=1)
     out = {
         "seed": seed, "crashed": crashed, "margins": margins, "tilt": float(tilt.max()),
-        "rmse": float(np.sqrt(np.mean(error**2))), "cost": CRASH if crashed else _cost(path, given, reference),
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "cost": CRASH if crashed else tracking_cost(path, given, reference, PROBLEM.weights),
         "events": len(pilot.events),
     }  # fmt: skip
     if seconds:
@@ -242,12 +248,12 @@ def flight(
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 
 
-def _cost(path: Array, commands: Array, reference: Any) -> float:
-    """Tracking cost with the controller's weights, per second."""
-    w = PROBLEM.weights
-    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw
+def tracking_cost(path: Array, commands: Array, reference: Any, w: Weights) -> float:
+    """Tracking cost of a flight (n, 13) with the controller's weights, per sample."""
+    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw[: len(path)]
     terms = (
-        w.position * (path[:, :3] - reference.position), w.velocity * (path[:, 3:6] - reference.velocity),
+        w.position * (path[:, :3] - reference.position[: len(path)]),
+        w.velocity * (path[:, 3:6] - reference.velocity[: len(path)]),
         w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
     )  # fmt: skip
     return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
