@@ -63,12 +63,17 @@ class GapRow:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Foresight:
     """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`; and the
-    log likelihood of the one-step errors of `samples` samples (after the adaptation)."""
+    log likelihood of the one-step errors of `samples` samples (after the adaptation), one value per second of flight."""
 
     own: Squares
     floor: Squares
-    loglik: float
+    logliks: FloatArray
     samples: int = 1
+
+    @property
+    def loglik(self) -> float:
+        """Of all seconds."""
+        return float(self.logliks.sum())
 
 
 def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
@@ -89,7 +94,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     longest = max(steps.values())
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
-    loglik, samples = 0.0, 0
+    logliks, samples = list[FloatArray](), 0
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
@@ -104,7 +109,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             seen = {n: v for n, v in segment.channels.items() if n not in flight.noncausal}
             bare = Segment(t=segment.t, channels=seen, flight=segment.flight, extra=segment.extra)
             filtered = runner.run(bare, p=p)
-            loglik += _loglik(filtered, late[0])
+            logliks.append(_logliks(filtered, segment.t, late[0]))
             samples += late.size
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
@@ -115,12 +120,13 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return Foresight(own=own, floor=floor, loglik=loglik, samples=max(samples, 1))
+    return Foresight(own=own, floor=floor, logliks=np.concatenate(logliks), samples=max(samples, 1))
 
 
-def _loglik(filtered: Filtered, begin: int) -> float:
-    """Gaussian log likelihood of the innovations from sample `begin` on."""
-    total = 0.0
+def _logliks(filtered: Filtered, t: FloatArray, begin: int) -> FloatArray:
+    """Gaussian log likelihood of the innovations from sample `begin` on, one value per second."""
+    second = np.asarray((t - t[begin]) // 1.0, dtype=int)
+    total = np.zeros(int(second[-1]) + 1)
     for g, there in enumerate(filtered.record.patterns != 0):
         rows = np.flatnonzero(filtered.record.pattern == g)
         rows = rows[rows >= begin]
@@ -129,7 +135,7 @@ def _loglik(filtered: Filtered, begin: int) -> float:
         s = filtered.covariance[g][np.ix_(there, there)]
         e = filtered.innovations[np.ix_(rows, there)]
         _, logdet = np.linalg.slogdet(2 * np.pi * s)
-        total -= 0.5 * (float((e * np.linalg.solve(s, e.T).T).sum()) + len(rows) * float(logdet))
+        np.subtract.at(total, second[rows], 0.5 * ((e * np.linalg.solve(s, e.T).T).sum(axis=1) + float(logdet)))
     return total
 
 

@@ -3,9 +3,11 @@
 Likelihood on the training flights takes whatever bends the model towards the data, a slightly wrong law included. Two
 checks stand against that.
 
-1. Held-out flights. With the effect the one-step errors of flights that were not searched must be more likely, and, unless
-   they are far more likely or it is an effect of a sensor, open-loop errors up to a second ahead must not grow: the relative
-   change of the mean square, averaged over channel groups and horizons, with the spread between blocks of one second.
+1. Held-out flights. With the effect the one-step errors of flights that were not searched must not be less likely by more
+   than the spread between blocks of one second allows (Vuong 1989, Econometrica 57(2)), nor by so much that training and
+   held-out flights together no longer speak for it; and, unless they are far more likely or it is an effect of a sensor,
+   open-loop errors up to a second ahead must not grow: the relative change of the mean square, averaged over channel
+   groups and horizons, with the spread between the same blocks.
 2. What is left. Where the force or torque that the effect acts on still follows a law that is larger than the effect, or
    misses far more than the effect explained, the effect only bends towards something else: the name is taken back and
    the axis is reported as unnamed.
@@ -22,6 +24,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
+from greybox.discovery.name import CLEAR
 from greybox.discovery.nested import NestedFit
 from greybox.errors import GreyboxError
 from greybox.estimation.engine import engine_for
@@ -35,6 +38,9 @@ SEEN = 2.0
 """Standard errors from its null that at least one parameter of a named effect must be away."""
 WORSE = -1.0
 """Standard errors below zero from which on the mean square ahead counts as grown."""
+CONTRADICTED = -2.0
+"""Standard errors of the held-out log likelihood's change below which the flights contradict an effect. A short flight that
+hardly excites the effect may lose a little by the other parameters alone."""
 NOTHING = 1e-3
 """Relative change of the mean square ahead below which an effect adds nothing, unless that is clear."""
 PLAIN = 0.1
@@ -103,15 +109,17 @@ class HeldOut:
             old, new = self.foresight(before), self.foresight(after)
         except GreyboxError:
             return None
-        gain = new.loglik - old.loglik
-        if gain <= 0:
-            reason = "one-step errors of flights that were not searched are no more likely with it"
+        change = new.logliks - old.logliks
+        gain = float(change.sum())
+        error = float(change.std(ddof=1) * np.sqrt(change.size)) if change.size > 1 else 0.0
+        if gain <= CONTRADICTED * error or before.bic - after.bic + 2 * gain < CLEAR:
+            reason = "one-step errors of flights that were not searched speak against it"
             return Withheld(effects=added, reason=reason, loglik_gain=gain)
         stages = {e.name: e.stage for e in getattr(after.fit.model.physics, "effects", ())}
         if all(stages.get(n) == "sensor" for n in added) or gain > PLAIN * new.samples:
             return None
-        ahead, error = ahead_gain(old, new)
-        if ahead <= WORSE * error or (ahead < NOTHING and ahead < error):
+        ahead, spread = ahead_gain(old, new)
+        if ahead <= WORSE * spread or (ahead < NOTHING and ahead < spread):
             reason = "errors ahead on flights that were not searched do not shrink with it"
             return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead)
         return None

@@ -76,32 +76,34 @@ def test_a_constant_that_is_the_mean_of_a_law_is_no_name():
     assert misfit_of(("rotor_drag",), {"force"}, size, left, 100) is None
 
 
-def seen(level: float, loglik: float, seed: int = 0) -> Foresight:
-    """Errors of that mean square, twelve seconds of flight."""
+def seen(level: float, loglik: float, seed: int = 0, spread: float = 0.0) -> Foresight:
+    """Errors of that mean square, twelve seconds of flight, whose log likelihoods sum to `loglik`."""
     rng = np.random.default_rng(seed)
     own = {("rate", h): [level * rng.uniform(0.8, 1.2, 20) for _ in range(12)] for h in (0.0, 0.1, 0.5)}
-    return Foresight(own=own, floor={}, loglik=loglik, samples=1000)
+    logliks = loglik / 12 + spread * np.tile([1.0, -1.0], 6)
+    return Foresight(own=own, floor={}, logliks=logliks, samples=1000)
 
 
 def test_the_gain_ahead_is_the_relative_fall_of_the_mean_square():
     gain, error = ahead_gain(seen(4.0, 0), seen(3.0, 0, seed=1))
     assert gain == pytest.approx(0.25, abs=0.03)
     assert 0 < error < 0.02
-    assert ahead_gain(seen(4.0, 0), Foresight(own={}, floor={}, loglik=0)) == (0.0, 0.0)
+    assert ahead_gain(seen(4.0, 0), Foresight(own={}, floor={}, logliks=np.zeros(0))) == (0.0, 0.0)
 
 
 class Fitted:
     """What the veto looks at of a fit."""
 
-    def __init__(self, effects: tuple[str, ...], stage: str = "wrench") -> None:
+    def __init__(self, effects: tuple[str, ...], stage: str = "wrench", bic: float = 0.0) -> None:
         named = [type("E", (), {"name": e, "stage": stage})() for e in effects]
         physics = type("P", (), {"effects": named})()
+        self.bic = -bic
         self.effects, self.fit = effects, type("F", (), {"model": type("M", (), {"physics": physics})()})()
 
 
-def verdict(old: Foresight, new: Foresight, stage: str = "wrench") -> Any:
+def verdict(old: Foresight, new: Foresight, stage: str = "wrench", gained: float = 80.0) -> Any:
     held = HeldOut(None)  # type: ignore[arg-type]
-    before, after = Fitted(()), Fitted(("x",), stage)
+    before, after = Fitted(()), Fitted(("x",), stage, gained)
     held.foresight = lambda f: old if f is before else new  # type: ignore[method-assign, assignment, return-value]
     return held.withheld(before, after)  # type: ignore[arg-type]
 
@@ -110,13 +112,24 @@ def test_held_out_flights_decide():
     assert verdict(seen(4.0, 0), seen(3.0, 5)) is None
     worse = verdict(seen(4.0, 0), seen(3.0, -1))
     assert worse is not None
-    assert worse.loglik_gain == -1
+    assert worse.loglik_gain == pytest.approx(-1)
     grown = verdict(seen(4.0, 0), seen(6.0, 5))
     assert grown is not None
     assert grown.ahead_gain is not None
     assert grown.ahead_gain < 0
     nothing = verdict(seen(4.0, 0), seen(4.0, 5))
     assert nothing is not None
+
+
+def test_a_loss_within_the_spread_of_the_flight_is_no_contradiction():
+    # Twelve blocks of +-1: the sum is uncertain by 3.6.
+    assert verdict(seen(4.0, 0), seen(3.0, -3, spread=1.0)) is None
+    assert verdict(seen(4.0, 0), seen(3.0, -8, spread=1.0)) is not None
+
+
+def test_all_flights_together_must_speak_for_a_name():
+    assert verdict(seen(4.0, 0), seen(3.0, -3, spread=1.0), gained=17.0) is None
+    assert verdict(seen(4.0, 0), seen(3.0, -3, spread=1.0), gained=15.0) is not None
 
 
 def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():

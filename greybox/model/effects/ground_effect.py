@@ -16,7 +16,8 @@ class GroundEffect(Effect):
     """T_i <- T_i / (1 - k (R / 4 z_i)^2), z_i the height of hub i above a level ground at z = 0 of the world.
 
     k = 1 is the isolated rotor of Cheeseman and Bennett; multirotors gain more near the ground (Sanchez-Cuevas, Heredia
-    and Ollero 2017). Below z_i = R/2, where the law does not hold, the factor keeps the value that it has there.
+    and Ollero 2017). Below z_i = R/2, where the law does not hold, the factor keeps the value that it has there; it is never
+    above 4, which k <= 3 does not reach.
     """
 
     name = "ground_effect"
@@ -46,14 +47,14 @@ class GroundEffect(Effect):
     )
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
-        """k [-]; its upper bound keeps the denominator above a quarter at z = R/2."""
+        """k [-]; the fuselage of a small multirotor collects several rotors' worth of it."""
         return (
             Parameter(
                 name="k",
                 unit="-",
                 nominal=0.0,
                 lower=0.0,
-                upper=3.0,
+                upper=12.0,
                 null=0.0,
                 scale=0.5,
                 meaning="strength, 1 = one rotor",
@@ -65,4 +66,4 @@ class GroundEffect(Effect):
         radius = flow.vehicle.actuator.rotor_radius
         height = flow.position[2] + (flow.rotation[2, :] @ flow.arms).T
         ratio = radius / (4 * ca.fmax(height, 0.5 * radius))
-        return {"thrust_factor": 1 / (1 - p["k"] * ratio * ratio)}
+        return {"thrust_factor": 1 / (1 - ca.fmin(p["k"] * ratio * ratio, 0.75))}
