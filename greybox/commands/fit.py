@@ -129,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
-    from greybox.estimation.status import Code
+    from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
@@ -163,7 +163,11 @@ def run(arguments: argparse.Namespace) -> int:
     def progress(iteration: int, cost: float, decrement: float) -> None:
         say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
 
-    result = fit_with(arguments, vehicle, train, progress)
+    interrupted = False
+    try:
+        result = fit_with(arguments, vehicle, train, progress)
+    except Interrupted as stop:
+        result, interrupted = stop.kept, True
     content = result.to_dict()
     content["warnings"] = [*warnings, *content["warnings"]]
     content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["fit"] else "greybox fit"
@@ -197,7 +201,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not quiet:
         print(result.summary())
         print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
-    if result.status.code is Code.INTERRUPTED:
+    if interrupted:
         raise KeyboardInterrupt
     return 0 if result.converged else 1
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.nested import whole
 from greybox.discovery.regimes import Regime, regimes
 from greybox.discovery.terms import Term, terms, wanted_features
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -103,11 +102,11 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
     A dozen `iterations` are enough to show where a model that misses much is deficient; its gain is then a lower bound.
     """
     groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in found.model.dynamics.noises.names))
-    result = whole(fit(
+    result = fit(
         found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
         values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
         solver=LevenbergMarquardt(tolerance=TOLERANCE, max_iterations=iterations),
-    ))  # fmt: skip
+    )  # fmt: skip
     names = wanted_features(result.model.dynamics)
     seen = discrepancy(result.model, data, names)
     # Physics is held here and was free there: its parameters count once, on both sides.

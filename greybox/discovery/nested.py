@@ -166,8 +166,6 @@ def solve(task: Task, data: Dataset) -> Refit:
         theta, status = LevenbergMarquardt(tolerance=TOLERANCE).solve(
             problem, np.clip(start, problem.lower, problem.upper)
         )
-        if status.code is Code.INTERRUPTED:
-            raise KeyboardInterrupt
         value = problem.evaluate(theta, 0)
     ends = [
         u.name for u, t in zip(problem.unknowns, theta, strict=True)
@@ -258,13 +256,6 @@ class Nest:
             block = max(1, round(BLOCK_SECONDS / problem.dt))
             value = problem.evaluate(theta, scores=block)
             return screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
-
-
-def whole(found: Fit) -> Fit:
-    """The fit, unless it was interrupted: a solver keeps what it has, a search stops. Raises `KeyboardInterrupt`."""
-    if found.status.code is Code.INTERRUPTED:
-        raise KeyboardInterrupt
-    return found
 
 
 def _sendable(task: Task) -> bool:

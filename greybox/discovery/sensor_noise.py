@@ -20,7 +20,7 @@ import scipy.stats
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
-from greybox.discovery.nested import Nest, NestedFit, whole
+from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -178,10 +178,10 @@ def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     there = {d.name for d in physics.parameters}
     per_flight = [n for n in found.settings["per_flight"] if n in there]
     own = [n for n in found.model.flight_spread if n in there]
-    result = whole(fit(
+    result = fit(
         physics, data, free=own, per_flight=per_flight, values=_known(found, physics), initialisation="noise",
         solver=LevenbergMarquardt(tolerance=TOLERANCE),
-    )).model  # fmt: skip
+    ).model  # fmt: skip
     keep = [i for i, n in enumerate(found.model.covariance_names) if n in there]
     return replace(
         result, covariance_names=tuple(found.model.covariance_names[i] for i in keep),
@@ -265,10 +265,10 @@ def _coloured(had: Sequence[NoisePart], parts: Sequence[NoisePart], data: Datase
     known = {n: v for n, v in noise_of(start.model).items() if n.startswith("noise.sensor.") or n in names}
     values = dict(lean.model.values) | {n: v for n, v in start.model.values.items() if n in free}
     there = {d.name for d in dynamics.parameters} | {f"disturbance.{g}.T" for g in groups}
-    return whole(fit(
+    return fit(
         dynamics, data, disturbance=groups, free=free, values={n: v for n, v in values.items() if n in there},
         noise=known, initialisation="nominal", solver=LevenbergMarquardt(tolerance=TOLERANCE),
-    ))  # fmt: skip
+    )  # fmt: skip
 
 
 def _known(start: Fit, dynamics: Any) -> dict[str, float]:

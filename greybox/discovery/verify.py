@@ -16,7 +16,7 @@ from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition
-from greybox.discovery.nested import Nest, NestedFit, whole
+from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
 from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
@@ -72,10 +72,10 @@ def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None
     model = model.with_effect(*effects)
     own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
     per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
-    result = whole(fit(
+    result = fit(
         model, train, free=[*found.parameters, *own], values=dict(found.model.values), noise=noise_of(found.model),
         per_flight=per_flight, estimate_noise=found.settings["estimate_noise"], initialisation="nominal",
-    ))  # fmt: skip
+    )  # fmt: skip
     return result if result.status.converged else None
 
 

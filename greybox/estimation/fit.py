@@ -24,7 +24,7 @@ from greybox.estimation.predictors import PREDICTORS
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.solvers import SOLVERS
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
-from greybox.estimation.status import Status
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.files import write_json
 from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
@@ -206,7 +206,8 @@ def fit(
     innovation form first, whose estimates and noise levels the predictor proper starts from: what a predictor without
     noise levels of its own wants). `progress(iteration, cost, decrement)` is
     called every iteration. The result says whether the fit converged; a fit that did not never looks like one that did.
-    Raises `DataError`, `ModelError`, `UnknownNameError`.
+    Raises `DataError`, `ModelError`, `UnknownNameError`, and `Interrupted`, a KeyboardInterrupt whose `kept` is the `Fit`
+    with the best values so far.
     """
     began = time.perf_counter()
     groups = tuple(disturbance)
@@ -235,7 +236,10 @@ def fit(
             start = _initialise(problem, initialisation, chosen_solver, seed, starts)
         if hasattr(chosen_predictor, "approach"):  # multiple shooting closes its gaps first
             start = chosen_predictor.approach(problem, start, progress)
-        theta, status = chosen_solver.solve(problem, start, progress)
+        try:
+            theta, status = chosen_solver.solve(problem, start, progress)
+        except Interrupted as stop:
+            theta, status = stop.kept
         result = _finish(problem, data, theta, status, began)
     settings = {
         "predictor": chosen_predictor.name, "criterion": chosen_criterion.name, "solver": chosen_solver.name,
@@ -244,7 +248,10 @@ def fit(
         "fixed": sorted({d.name for d in dynamics.parameters} - set(problem.engine.active)),
         "compiled": problem.engine.compiled,
     }  # fmt: skip
-    return Fit(**{**result, "settings": settings})
+    whole = Fit(**{**result, "settings": settings})
+    if status.code is Code.INTERRUPTED:
+        raise Interrupted(whole)
+    return whole
 
 
 def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int) -> FloatArray:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import concurrent.futures
 import functools
 import os
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -305,8 +306,10 @@ def _instruments(problem: Problem, names: Sequence[str], lags: int, stride: int)
 class Solver(Protocol):
     """What multistart needs of a solver."""
 
-    def solve(self, problem: Problem, start: FloatArray) -> tuple[FloatArray, Status]:
-        """(estimate, status) from `start`."""
+    def solve(
+        self, problem: Problem, start: FloatArray, progress: Callable[[int, float, float], None] | None = None
+    ) -> tuple[FloatArray, Status]:
+        """(estimate, status) from `start`; calls `progress` every iteration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -381,8 +384,12 @@ def multistart(
     rng = np.random.default_rng(seed)
     starts = [base, *(random_start(problem, rng, base, width) for _ in range(n - 1))]
     if executor is None:
+        stop = threading.Event()
         with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            runs = list(pool.map(functools.partial(_one_run, problem, solver), starts))
+            try:
+                runs = list(pool.map(functools.partial(_one_run, problem, solver, stop=stop), starts))
+            finally:  # an interrupt reaches the main thread only
+                stop.set()
     else:
         runs = list(executor.map(functools.partial(_one_run, problem, solver), starts))
     cost = np.array([c for _, c, _ in runs])
@@ -392,6 +399,12 @@ def multistart(
     )
 
 
-def _one_run(problem: Problem, solver: Solver, start: FloatArray) -> tuple[FloatArray, float, Status]:
-    theta, status = solver.solve(problem, start)
+def _one_run(
+    problem: Problem, solver: Solver, start: FloatArray, stop: threading.Event | None = None
+) -> tuple[FloatArray, float, Status]:
+    def progress(*_: float) -> None:
+        if stop is not None and stop.is_set():
+            raise KeyboardInterrupt
+
+    theta, status = solver.solve(problem, start, progress)
     return theta, problem.evaluate(theta, 0).cost, status

@@ -26,6 +26,18 @@ class Code(enum.Enum):
     SOLVER_FAILED = "NOT converged: the solver gave up. Try levenberg-marquardt, or other start values."
 
 
+class Interrupted(KeyboardInterrupt):
+    """A solver or a fit was interrupted from the keyboard.
+
+    Nobody goes on with half a fit by mistake, because it is an exception; nothing is lost, because `kept` is what was
+    there: of a solver the best unknowns and their `Status`, of `fit` the `Fit` with them.
+    """
+
+    def __init__(self, kept: Any) -> None:
+        super().__init__("interrupted")
+        self.kept = kept
+
+
 @dataclass(frozen=True, kw_only=True)
 class Status:
     """How a fit ended. `decrement` is the decrease of the cost that one more full step promises."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.estimation.problem import Problem
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
-from greybox.estimation.status import Code, Status
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
 
 Progress = Callable[[int, float, float], None]
@@ -29,7 +29,7 @@ class GaussNewton:
     max_halvings: int = 20
 
     def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point so far and a status, also when interrupted."""
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         value = problem.evaluate(x)
@@ -62,6 +62,9 @@ class GaussNewton:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
                 x, value = new, trial
-        except KeyboardInterrupt:
-            code = Code.INTERRUPTED
+        except KeyboardInterrupt as stop:
+            status = Status(
+                code=Code.INTERRUPTED, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
+            )
+            raise Interrupted((x, status)) from stop
         return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.estimation.problem import Problem, Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
-from greybox.estimation.status import Code, Status
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
 
 Progress = Callable[[int, float, float], None]
@@ -31,7 +31,7 @@ class Ipopt:
     max_iterations: int = 200
 
     def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point so far and a status, also when interrupted."""
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         first = problem.evaluate(x)
@@ -67,10 +67,13 @@ class Ipopt:
         code, detail = _code(str(stats["return_status"]), decrement, self.tolerance)
         if memory.interrupted:
             code, detail = Code.INTERRUPTED, ""
-        return x, Status(
+        status = Status(
             code=code, iterations=int(stats["iter_count"]), evaluations=memory.evaluations, decrement=float(decrement),
             detail=detail,
         )  # fmt: skip
+        if code is Code.INTERRUPTED:
+            raise Interrupted((x, status))
+        return x, status
 
 
 def _code(status: str, decrement: float, tolerance: float) -> tuple[Code, str]:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from greybox.estimation.problem import Problem
-from greybox.estimation.status import Code, Status
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
 
 SHARES = (0.3, 0.1)
@@ -37,7 +37,7 @@ class LevenbergMarquardt:
     damped: bool = True
 
     def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point so far and a status, also when interrupted."""
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         value = problem.evaluate(x)
@@ -94,8 +94,11 @@ class LevenbergMarquardt:
                 if not moved:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
-        except KeyboardInterrupt:
-            code = Code.INTERRUPTED
+        except KeyboardInterrupt as stop:
+            status = Status(
+                code=Code.INTERRUPTED, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
+            )
+            raise Interrupted((x, status)) from stop
         return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
 
 

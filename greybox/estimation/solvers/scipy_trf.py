@@ -20,7 +20,7 @@ import scipy.optimize
 
 from greybox.estimation.problem import Problem, Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
-from greybox.estimation.status import Code, Status
+from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
 
 Progress = Callable[[int, float, float], None]
@@ -35,7 +35,7 @@ class ScipyTrf:
     max_iterations: int = 200
 
     def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
-        """Minimise from `start`; the best point so far and a status, also when interrupted."""
+        """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
         first = problem.evaluate(x)
@@ -72,10 +72,13 @@ class ScipyTrf:
         except KeyboardInterrupt:
             x, code = residuals.best, Code.INTERRUPTED
         x = np.clip(x, lower, upper)
-        return x, Status(
+        status = Status(
             code=code, iterations=residuals.iterations, evaluations=residuals.evaluations, detail=detail,
             decrement=float(residuals.decrement),
         )  # fmt: skip
+        if code is Code.INTERRUPTED:
+            raise Interrupted((x, status))
+        return x, status
 
 
 class _Done(Exception):

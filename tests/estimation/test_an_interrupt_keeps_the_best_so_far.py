@@ -1,0 +1,70 @@
+"""Ctrl-C in a fit: nobody goes on with half of it, and what was found until then is not lost."""
+
+from __future__ import annotations
+
+import pytest
+
+import greybox as gb
+from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.initialisation import multistart
+from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.problem import make_problem
+from greybox.estimation.solvers import SOLVERS
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code, Interrupted
+from tests import motor
+
+
+class CtrlC:
+    """Progress that is interrupted at its third call."""
+
+    calls = 0
+
+    def __call__(self, *_: float) -> None:
+        self.calls += 1
+        if self.calls == 3:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_solver_hands_out_its_best_point(name: str) -> None:
+    data = motor.record(torque_noise=0.002)
+    problem = make_problem(motor.model(), data, predictor=Innovation(), criterion=Gaussian())
+    with pytest.raises(Interrupted) as stop:
+        SOLVERS[name](tolerance=1e-30).solve(problem, problem.start, CtrlC())
+    theta, status = stop.value.kept
+    assert status.code is Code.INTERRUPTED
+    assert problem.evaluate(theta, 0).cost < problem.evaluate(problem.start, 0).cost
+
+
+@pytest.mark.parametrize("initialisation", ["nominal", "innovation"])
+def test_a_fit_hands_out_what_it_has(initialisation: str) -> None:
+    progress = CtrlC()
+    with pytest.raises(Interrupted) as stop:
+        gb.fit(
+            motor.model(), motor.record(torque_noise=0.002), initialisation=initialisation, predictor="multi-step",
+            progress=progress,
+        )  # fmt: skip
+    kept = stop.value.kept
+    assert isinstance(kept, gb.Fit)
+    assert not kept.converged
+    assert "interrupted" in kept.warnings[0]
+    assert progress.calls == 3, "it went on"
+
+
+def test_many_starts_stop_together() -> None:
+    problem = make_problem(
+        motor.model(), motor.record(torque_noise=0.002), predictor=Innovation(), criterion=Gaussian()
+    )
+    begun = []
+
+    class Watched(LevenbergMarquardt):
+        def solve(self, problem, start, progress=None):  # type: ignore[no-untyped-def]
+            begun.append(start)
+            if len(begun) == 3:
+                raise KeyboardInterrupt
+            return super().solve(problem, start, progress)
+
+    with pytest.raises(KeyboardInterrupt):
+        multistart(problem, Watched(), n=200)
+    assert len(begun) < 200
