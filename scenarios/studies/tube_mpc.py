@@ -20,7 +20,7 @@ The risk is that of crossing a plane (or a crash); flights that tilt too far are
 tracking cost with the controller's own weights, per second; a crash (farther than `lost` from the path) costs CRASH.
 Everything is kept in OUT as it comes (flights.jsonl), and a second run goes on where the first stopped.
 
-    python -m scenarios.studies.tube_mpc --out OUT [--flights 200] [--only tube-10,hybrid]
+    python -m scenarios.studies.tube_mpc --out OUT [--flights 200] [--first 0] [--only tube-10,hybrid]
     python -m scenarios.studies.tube_coverage --out OUT [--flights 20]
 """
 
@@ -75,6 +75,8 @@ TILT_PER_METRE = 2.0
 WORST = 1.0
 """Size of the worst case's ellipsoids in standard deviations."""
 DT = 0.01
+TURN = 20
+"""Controllers take turns: so many flights each."""
 REACH = 0.15
 """How far before its stretch a plane is respected [m]."""
 PROBLEM = TubeProblem(
@@ -333,6 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", required=True, type=Path)
     parser.add_argument("--flights", type=int, default=200, help="judging flights per controller")
+    parser.add_argument("--first", type=int, default=0, help="how many judging seeds to leave out at the beginning")
     parser.add_argument("--only", help="controllers, separated by commas")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -341,18 +344,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     done = {(r["controller"], r["seed"]) for r in records}
     wanted = options.only.split(",") if options.only else CONTROLLERS
     made = dict(pilots(options.out))
-    for name in (n for n in wanted if n in made):
-        todo = [s for s in JUDGING_SEEDS[: options.flights] if (name, s) not in done]
-        if not todo:
-            continue
-        pilot, began = made[name](), time.perf_counter()
-        for i, seed in enumerate(todo):
-            record = {"controller": name, "kappa": max(getattr(pilot, "kappa", ()), default=0.0), **flight(pilot, seed)}
-            records.append(record)
-            append_row(log, record)
-            if i % 10 == 9:
-                each = (time.perf_counter() - began) / (i + 1)
-                print(f"  {name}: {i + 1} of {len(todo)}, {each:.1f} s each", flush=True)
+    seeds = JUDGING_SEEDS[options.first : options.first + options.flights]
+    flown: dict[str, Any] = {}
+    for i in range(0, len(seeds), TURN):
+        for name in (n for n in wanted if n in made):
+            todo = [s for s in seeds[i : i + TURN] if (name, s) not in done]
+            if not todo:
+                continue
+            pilot, began = flown.get(name) or flown.setdefault(name, made[name]()), time.perf_counter()
+            for seed in todo:
+                record = {
+                    "controller": name, "kappa": max(getattr(pilot, "kappa", ()), default=0.0), **flight(pilot, seed)
+                }  # fmt: skip
+                records.append(record)
+                append_row(log, record)
+            each = (time.perf_counter() - began) / len(todo)
+            print(f"  {name}: {i + len(seeds[i : i + TURN])} of {len(seeds)}, {each:.1f} s each", flush=True)
     print(summary(records))
     for name in LEVELS:
         gap, error, n = paired(records, name, "constant")

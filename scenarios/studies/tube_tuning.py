@@ -23,9 +23,9 @@ from scenarios.studies.tube_mpc import controller, crossed, flight
 from scenarios.studies.tube_rehearsal import RehearsedPlant
 
 Array = NDArray[np.float64]
-TUNING = 12
+TUNING = 24
 """Training flights on which limits are counted and each constant is tried."""
-MOVED = (0.001, 0.0025)
+MOVED = (0.001, 0.0025, 0.004)
 """Constant back-offs that are tried [m]."""
 REHEARSED = (0.5, 1.0, 1.5)
 """Standard deviations that are rehearsed."""
