@@ -2,6 +2,8 @@
 # make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about four minutes)
 # make test   own environment, install, lint, type check, all fast tests
 # make test-slow   the long studies (hours are not needed; minutes are)
+# make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
+#             oldest and newest versions of what they need; about twenty minutes, asks PyPI
 # make docs   write the pages that are generated from the code: docs/reference.md, docs/effects.md
 PYTHON ?= python3
 VENV ?= .venv
@@ -22,7 +24,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: demo demo-mpc test test-slow docs lint clean install
+.PHONY: demo demo-mpc test test-slow test-releases docs lint clean install
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -48,6 +50,9 @@ test: lint
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(JOBS) --dist loadfile
+
+test-releases: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n 0 -s -rs tests/packaging
 
 docs: $(STAMP)
 	$(BIN)/python -m scenarios.studies.docs_reference > docs/reference.new && mv docs/reference.new docs/reference.md
