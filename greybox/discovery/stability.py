@@ -42,6 +42,7 @@ class Stability:
         """As in discovery.json."""
         return {
             "parameter": self.name, "unit": self.unit, "p_value": self.p_value, "spread": self.spread,
+            "differs": self.differs,
             "flights": {f: {"value": v, "std": s} for f, (v, s) in self.flights.items()},
         }  # fmt: skip
 

@@ -8,8 +8,6 @@ from typing import Any
 from greybox.report.html import Cell, Report, Tag
 from greybox.report.words import number, p_value, rounded
 
-DIFFERENT = 1e-3
-"""Probability under equal values below which flights are said to differ, as in discovery.json's warnings."""
 KINDS = {
     "coloured": "correlated noise", "line": "a line in the spectrum", "low_pass": "a low-pass filter",
     "delay": "a delay", "drift": "a drifting bias",
@@ -76,8 +74,7 @@ def flights_section(report: Report, content: Mapping[str, Any]) -> None:
         for f in flights:
             value, std = rounded(r["flights"][f]["value"], r["flights"][f]["std"]) if f in r["flights"] else ("", "")
             row.append(f"{value} \N{PLUS-MINUS SIGN} {std}" if value else "")
-        differs = r["p_value"] < DIFFERENT
-        cells.append([*row, r["unit"], p_value(r["p_value"]), Tag(text="differs") if differs else "agrees"])
+        cells.append([*row, r["unit"], p_value(r["p_value"]), Tag(text="differs") if r["differs"] else "agrees"])
     report.table(
         ["parameter", *flights, "unit", "p", ""], cells, numeric=tuple(range(1, len(flights) + 1)),
         caption="Each training flight alone. p: how likely flights with one true value differ as much (Cochran's Q).",

@@ -196,7 +196,8 @@ def test_what_only_the_sensors_do_stands_apart_from_physics():
 def test_flights_that_disagree_are_marked():
     row = {"parameter": "motor_lag.tau", "unit": "s", "spread": 0.01}
     flights = {"a": {"value": 0.03, "std": 0.001}, "b": {"value": 0.05, "std": 0.001}}
-    page = discover_report(content() | {"stability": [row | {"flights": flights, "p_value": 1e-9}]})
+    page = discover_report(content() | {"stability": [row | {"flights": flights, "p_value": 1e-9, "differs": True}]})
     assert "differs" in page
     assert "0.0300" in page
-    assert ">agrees<" in discover_report(content() | {"stability": [row | {"flights": flights, "p_value": 0.4}]})
+    row |= {"flights": flights, "p_value": 0.4, "differs": False}
+    assert ">agrees<" in discover_report(content() | {"stability": [row]})
