@@ -45,6 +45,7 @@ typedef struct {
   double kappa[NL], kappa_u;     /* standard deviations by which constraints are tightened */
   double penalty, penalty_square;
   double Z0[ND * ND];            /* covariance of the estimate about the plan at its start, usually zero */
+  double bent[N + 1][ND * ND];   /* added to the covariance: what the linear loop leaves out */
   double tolerance, qp_tolerance, damping;
   double iterations_max, qp_iterations_max, tube_updates_max;
   /* the plan, also the start of the next solution */
@@ -181,7 +182,8 @@ static int tube(tube_solver *s, tube_data *d) {
     const double *arg[TUBE_ARG] = {d->x[k], uk, d->p, s->Z, s->c, s->b};
     double *res[TUBE_RES] = {d->covariance[k], s->Z2, s->c2, s->b2};
     if (tube_model_tube_spread(arg, res, s->iw, s->w, 0)) return 1;
-    const double *total = d->covariance[k];
+    double *total = d->covariance[k];
+    for (int i = 0; i < ND * ND; i++) total[i] += d->bent[k][i];
     for (int j = 0; j < NL; j++) {
       double sum = 0;
       for (int m = 0; m < NK; m++) {

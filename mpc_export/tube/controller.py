@@ -24,6 +24,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.tube.correlation import innovations
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import Outcome, TubeSolver
@@ -97,8 +98,9 @@ class TubeController:
         self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
         self.filter: ModelFunctions = model_functions(model, with_=("filter",))
         self.solver = TubeSolver(
-            self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance()
-        )
+            self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance(),
+            fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
+        )  # fmt: skip
         self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
         self._present = [[self.columns.index(c) for c in names] for names in self.model.dynamics.innovation_columns]

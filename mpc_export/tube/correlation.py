@@ -30,6 +30,23 @@ def error_transition(filter_: ModelFunctions, steps: int, size: int) -> FloatArr
     return full
 
 
+def innovations(filter_: ModelFunctions, steps: int, size: int) -> FloatArray:
+    """W (size, size): what the filter's innovations move the estimate by over `steps` of its samples at hover.
+
+    Innovations L e of covariance L S L' are white, and go on with the model: W = sum_i A_1^i L S L' A_1^i', i < steps.
+    """
+    x, u = filter_.reference
+    _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
+    own = len(filter_.error_states) - (len(filter_.states) - filter_.own_states)
+    a, one = a[:own, :own], (filter_.noise.gain @ filter_.noise.innovation @ filter_.noise.gain.T)[:own, :own]
+    total = np.zeros((own, own))
+    for _ in range(steps):
+        total = a @ total @ a.T + one
+    full = np.zeros((size, size))
+    full[:own, :own] = total
+    return full
+
+
 def correlation(
     model: ModelFunctions, made: Stages, transition: FloatArray, normal: FloatArray, length: int
 ) -> FloatArray:

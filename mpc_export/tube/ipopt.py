@@ -51,6 +51,7 @@ class IpoptSolver:
             for name in ("ref", "backoff", "backoff_u")
         }
         given["plane"] = ca.MX.sym("plane", 4, s["NPL"] * (n + 1))
+        given["bent"] = ca.MX.sym("bent", s["ND"] ** 2, n + 1)
         for name in ("x0", "u_before", "p", "x_end", "kappa", "Z0"):
             given[name] = ca.MX.sym(name, solver.data[name].size)
         scalars = {name: ca.MX.sym(name) for name in ("kappa_u", "penalty", "penalty_square")}
@@ -104,6 +105,7 @@ class IpoptSolver:
         tight, tight_u, first = [], [], None
         for k in range(n + 1):
             total, z, c, b = f["tube_spread"](x[k], u[min(k, n - 1)], p, z, c, b)
+            total += ca.reshape(given["bent"][:, k], s["ND"], s["ND"])
             first = total if first is None else first
             slope = f["tube_limits"](x[k], given["plane"][:, s["NPL"] * k : s["NPL"] * (k + 1)])[1]
             spread = ca.diag(slope @ total[keep, keep] @ slope.T)

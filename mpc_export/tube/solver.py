@@ -40,10 +40,11 @@ def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
         ("x0", (n["NX"],)), ("u_before", (n["NU"],)), ("p", (max(n["NP"], 1),)), ("ref", (n["N"], n["NREF"])),
         ("x_end", (n["NX"],)), ("plane", (stages_, n["NPL"], 4)), ("u_min", (n["NU"],)), ("u_max", (n["NU"],)),
         ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one), ("penalty", one), ("penalty_square", one),
-        ("Z0", (n["ND"], n["ND"])), ("tolerance", one), ("qp_tolerance", one), ("damping", one),
-        ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one), ("x", (stages_, n["NX"])),
-        ("u", (n["N"], n["NU"])), ("covariance", (stages_, n["ND"], n["ND"])), ("backoff", (stages_, nl)),
-        ("backoff_u", (n["N"], n["NU"])), ("slack", (stages_, nl)), *((s, one) for s in _SCALARS),
+        ("Z0", (n["ND"], n["ND"])), ("bent", (stages_, n["ND"], n["ND"])), ("tolerance", one), ("qp_tolerance", one),
+        ("damping", one), ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one),
+        ("x", (stages_, n["NX"])), ("u", (n["N"], n["NU"])), ("covariance", (stages_, n["ND"], n["ND"])),
+        ("backoff", (stages_, nl)), ("backoff_u", (n["N"], n["NU"])), ("slack", (stages_, nl)),
+        *((s, one) for s in _SCALARS),
     ]  # fmt: skip
 
 
@@ -71,7 +72,7 @@ class Outcome:
 class TubeSolver:
     """Compiled solver of one problem. Arrays of `data` by name are views of the C structure: write, call, read.
 
-    white and estimate: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi,
+    white, estimate and fresh: see `stages`. Raises `BuildError` without a C compiler or where HPIPM is not with CasADi,
     `ModelError` from `stages`.
     """
 
@@ -83,9 +84,10 @@ class TubeSolver:
         kernels: Sequence[CKernel] = (),
         white: bool = False,
         estimate: FloatArray | None = None,
+        fresh: FloatArray | None = None,
     ) -> None:
         self.model, self.problem = model, problem
-        self.stages: Stages = stages(model, problem, white=white, estimate=estimate)
+        self.stages: Stages = stages(model, problem, white=white, estimate=estimate, fresh=fresh)
         n = model.sizes
         self.sizes = {
             "N": problem.horizon, "NX": n["n_x"], "ND": n["n_d"], "NU": n["n_u"], "NP": n["n_p"],
@@ -130,6 +132,7 @@ class TubeSolver:
         d["ref"][:, 7:] = u
         d["p"][: self.sizes["NP"]] = self.model.parameter_values
         d["plane"][..., 3] = 1.0
+        d["bent"][:] = self.stages.bent
         d["u_min"][:], d["u_max"][:] = problem.command_min, problem.command_max
         d["rate_max"][:] = problem.rate_max
         d["penalty"][()], d["penalty_square"][()] = problem.penalty, problem.penalty_square

@@ -10,15 +10,16 @@ Riccati equation at hover, which bounds the cost of the linear feedback from the
 Predictive Control, 2017, section 2.5.2). The tube: with the estimate x_hat = x - e_hat, e_hat of covariance P_f (the
 filter's, stationary), and u = u_plan + K (x_hat - x_plan),
 
-    total = P_f + Z + c c' + b Cov(theta) b',
-    Z+ = (A + B K) Z (A + B K)' + W,    W = A P_f A' + Q - P_f,     Z = 0 where the plan starts at the estimate,
+    total = P_f + Z + c c' + b Cov(theta) b' + D_k,
+    Z+ = (A + B K) Z (A + B K)' + W,    W = sum A_1^i L S L' A_1^i',     Z = 0 where the plan starts at the estimate,
     c+ = (A + B K) c + B_d sd_g,        b+ = (A + B K) b + df_d/dtheta.
 
-W is what the filter's innovations move the estimate by (separation of estimation and control; Anderson and Moore 1979,
-chapter 5). Errors of the learned function (standard deviation sd_g) and of the parameters theta stay the same over a
-horizon and are consider states (Schmidt 1966), not noise that is fresh at every step. In the worst case the sums are
-outer ellipsoids with the least trace: E(X) + E(Y) inside E((1 + 1/a) X + (1 + a) Y), a = sqrt(tr X / tr Y) (Kurzhanski and
-Valyi 1997, section 2.7).
+W is what the filter's innovations (covariance S, gain L, transition A_1) move the estimate by in the samples of one stage
+(separation of estimation and control; Anderson and Moore 1979, chapter 5): at one sample time for all it is A P_f A' + Q -
+P_f. D_k is what this linear loop leaves out (second_order.py). Errors of the learned function (standard deviation sd_g)
+and of the parameters theta stay the same over a horizon and are consider states (Schmidt 1966), not noise that is fresh at
+every step. In the worst case the sums are outer ellipsoids with the least trace: E(X) + E(Y) inside E((1 + 1/a) X + (1 + a)
+Y), a = sqrt(tr X / tr Y) (Kurzhanski and Valyi 1997, section 2.7).
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from greybox.frames import rotation_matrix
 from greybox.symbolic import Expr, FloatArray
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.second_order import second_order
 
 NEEDED = ("position", "velocity", "attitude", "rate")
 
@@ -45,7 +47,8 @@ class Stages:
     """The functions by name, and what was computed once.
 
     keep: error states (n_k) that the plan may change, disturbances left out; free: raw states of the disturbances;
-    gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate P_f and fresh W (n_d, n_d).
+    gain K (n_u, n_d); terminal P (n_k, n_k); steady = (x, u) at hover; estimate P_f and fresh W (n_d, n_d);
+    bent D (N + 1, n_d, n_d), which `tube_spread` does not hold.
     """
 
     functions: Mapping[str, Any]
@@ -56,16 +59,23 @@ class Stages:
     steady: tuple[FloatArray, FloatArray]
     estimate: FloatArray
     fresh: FloatArray
+    bent: FloatArray
 
 
 def stages(
-    model: ModelFunctions, problem: TubeProblem, *, white: bool = False, estimate: FloatArray | None = None
+    model: ModelFunctions,
+    problem: TubeProblem,
+    *,
+    white: bool = False,
+    estimate: FloatArray | None = None,
+    fresh: FloatArray | None = None,
 ) -> Stages:
     """Stage functions for a model exported at the controller's sample time with groups "covariance" and "target".
 
-    white: treat the learned function's error as noise that is fresh at every step, for comparison. estimate (n_d, n_d): P_f
-    of the filter that will run; default that of a filter at the model's sample time, which is too wide where the real one
-    runs faster than the plan. Raises `ModelError` for a model that has no position, velocity, attitude and rates.
+    white: treat the learned function's error as noise that is fresh at every step, for comparison. estimate and fresh (n_d,
+    n_d): P_f and W of the filter that will run; default those of a filter at the model's sample time, of which P_f is too
+    wide, and W too narrow, where the real one runs faster than the plan. Raises `ModelError` for a model that has no
+    position, velocity, attitude and rates.
     """
     _check(model, problem)
     x_steady, u_steady = _hover(model)
@@ -78,7 +88,7 @@ def stages(
     if not problem.feedback:
         gain = np.zeros_like(gain)
     estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
-    fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate)
+    fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate if fresh is None else np.asarray(fresh))
     made = [
         _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
         _limits(model, problem, keep), _spread(model, problem, gain, estimate, fresh, white),
@@ -86,6 +96,7 @@ def stages(
     return Stages(
         functions={f.name(): f for f in made}, keep=keep, free=free, gain=gain, terminal=terminal,
         steady=(x_steady, u_steady), estimate=estimate, fresh=fresh,
+        bent=second_order(model, problem, gain, fresh, (x_steady, u_steady)),
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ TUNING = 24
 """Training flights on which limits are counted and each constant is tried."""
 MOVED = (0.001, 0.0025, 0.004)
 """Constant back-offs that are tried [m]."""
-REHEARSED = (0.5, 1.0, 1.5)
+REHEARSED = (0.5, 1.0, 1.5, 2.0)
 """Standard deviations that are rehearsed."""
 REHEARSALS = 20
 """Flights against the identified model for each of them."""

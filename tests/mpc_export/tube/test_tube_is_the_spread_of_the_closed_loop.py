@@ -7,7 +7,7 @@ import pytest
 
 from mpc_export.functions import model_functions
 from mpc_export.tube.controller import TubeController
-from mpc_export.tube.correlation import correlation, error_transition
+from mpc_export.tube.correlation import correlation, error_transition, innovations
 from mpc_export.tube.problem import TubeProblem, Weights
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import _weights, stages
@@ -57,7 +57,7 @@ def test_covariance_is_that_of_an_ensemble(solver):
     for stage in range(solver.problem.horizon + 1):
         error = rng.standard_normal((n, len(a))) @ root.T
         spread = (away + bias + error).std(axis=0)
-        stated = np.sqrt(np.diag(d["covariance"][stage]))
+        stated = np.sqrt(np.diag(d["covariance"][stage] - d["bent"][stage]))
         np.testing.assert_allclose(spread, stated, rtol=0.04, atol=1e-8)
         away = away @ closed.T + rng.standard_normal((n, len(s))) @ s.T @ k.T
         bias = bias @ closed.T + (slope @ theta).T
@@ -85,7 +85,8 @@ def spread(made, model, steps):
 
 def test_recursion_in_c_and_in_casadi_are_one(solver):
     totals, _ = spread(solver.stages, solver.model, 12)
-    np.testing.assert_allclose(hover(solver)["covariance"], totals, rtol=1e-9, atol=1e-15)
+    d = hover(solver)
+    np.testing.assert_allclose(d["covariance"], totals + d["bent"], rtol=1e-9, atol=1e-15)
 
 
 def test_the_tube_grows_without_feedback_and_less_with_it(solver):
@@ -144,6 +145,9 @@ def test_the_filters_error_is_that_of_the_filter_that_runs():
         at, there = pilot.functions.error_states.names.index(name), pilot.filter.error_states.names.index(name)
         assert stated[at, at] == own[there, there] > 0
         assert stated[at, at] < 0.9 * slow[at, at]
+    # and its innovations are those of both samples of a stage
+    both = innovations(pilot.filter, 2, len(stated))
+    np.testing.assert_allclose(pilot.solver.stages.fresh, both, rtol=1e-9, atol=1e-12 * both.max())
 
 
 def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(solver):
@@ -153,6 +157,47 @@ def test_a_stiffer_ancillary_gain_makes_the_tube_narrower_and_the_plan_stays(sol
     wide, narrow = (spread(made, model, 60)[0][-1, at, at] for made in (solver.stages, stiff))
     assert narrow < 0.5 * wide
     np.testing.assert_array_equal(stiff.terminal, solver.stages.terminal)
+
+
+def test_innovations_of_a_quicker_filter_add_up_to_what_it_does_not_know(solver):
+    # estimate and its error together move as the state does: A P A' + Q = W + P, at the filter's own sample time
+    filter_ = model_functions(cases.disturbed(), with_=("filter",))
+    noise = solver.model.noise
+    x, u = filter_.reference
+    _, a, _, _ = (v.full() for v in filter_["f_d_jac"](x, u, filter_.parameter_values))
+    once, twice = (innovations(filter_, steps, len(a)) for steps in (1, 2))
+    np.testing.assert_allclose(once, a @ noise.covariance @ a.T + noise.process - noise.covariance, atol=2e-9)
+    np.testing.assert_allclose(twice, a @ once @ a.T + once, rtol=1e-12)
+
+
+def test_the_second_order_is_what_a_nonlinear_loop_adds(solver):
+    # rough air that does not turn the vehicle about its vertical: what it turns there comes of turns about the other two
+    model, problem = solver.model, TubeProblem(dt=solver.model.dt, horizon=25, ancillary=Weights(position=64.0))
+    names = model.error_states.names
+    level = np.diag([0.0 if n in ("d_attitude.z", "d_rate.z", "d_disturbance.torque.z") else 8.0 for n in names])
+    rough = level @ solver.stages.fresh @ level
+    made = stages(model, problem, fresh=rough)
+    x0, u0 = made.steady
+    totals, _ = spread(made, model, problem.horizon)
+    rng, n = np.random.default_rng(11), 120
+    values, vectors = np.linalg.eigh(rough)
+    away = np.zeros((n, len(rough)))
+    for i in range(n):
+        x = x0
+        for _ in range(problem.horizon):
+            u = np.clip(u0 + made.gain @ away[i], problem.command_min, problem.command_max)
+            pushed = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(rough)))
+            x = model["boxplus"](model["f_d"](x, u, model.parameter_values), pushed).full().ravel()
+            away[i] = model["boxminus"](x, x0).full().ravel()
+    at = names.index("d_attitude.z")
+    flown = np.sqrt(np.mean(away[:, at] ** 2))
+    linear = totals[-1] - made.estimate
+    assert np.sqrt(linear[at, at]) < 0.7 * flown
+    assert np.sqrt((linear + made.bent[-1])[at, at]) == pytest.approx(flown, rel=0.2)
+    assert np.all(np.linalg.eigvalsh(made.bent[-1]) > -1e-12)
+    # in calm air there is nothing to add
+    calm = stages(model, problem, fresh=1e-4 * solver.stages.fresh)
+    assert np.all(np.diag(calm.bent[-1]) <= 1e-3 * np.diag(spread(calm, model, problem.horizon)[0][-1]))
 
 
 def test_stages_hang_together_as_in_an_ensemble(solver):
