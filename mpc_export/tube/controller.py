@@ -4,9 +4,15 @@ Timing. The filter runs at every sample of the identified model. A plan is made 
 filter's prediction one sample ahead, with the command that will be in force until then; its first command is applied at
 that sample. So the solver has one sample to compute in, and that delay is part of the plan.
 
-Fallback. Where a solution fails (a model function is not finite, the QP breaks down), the plan before goes on: its next
-command plus the ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about hover.
-`events` says what happened when.
+What may go wrong, and what is done; `events` says what happened when:
+
+- a solution fails (a model function is not finite, the QP breaks down): the plan before goes on, its next command plus the
+  ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about the path. A plan that failed
+  three times in a row, or is older than itself, is replaced by a simulation of that fallback before the next attempt;
+- measurements are missing, infinite or cannot be believed (gate.py): the filter goes on without them;
+- calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE is not followed: one
+  sample has passed;
+- flying on is not possible: a descent is declared (descent.py).
 """
 
 from __future__ import annotations
@@ -25,6 +31,8 @@ from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.correlation import innovations
+from mpc_export.tube.descent import AWAY, BLIND, HELD, Descent, Watch
+from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.solver import Outcome, TubeSolver
@@ -34,6 +42,12 @@ FOREVER = 1e6
 """Time constant [s] of a disturbance that is as good as constant."""
 GRAVITY = 9.80665
 """Weighs the steady tilt against the acceleration of the path [m/s^2]."""
+LATE = 0.25
+"""A longer pause between two calls is a fault of the clock [s]."""
+FAILURES = 3
+"""So many failed solutions in a row, and the next starts anew."""
+NEAR = {"position": 0.3, "velocity": 1.0}
+"""The fallback corrects no more than this at a time [m, m/s]: its gain is linear and the commands are bounded."""
 
 
 class Reference(Protocol):
@@ -78,6 +92,7 @@ class TubeController:
     `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
     (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
     they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage, to compare.
+    lost [m]: farther from the reference than this, a descent is declared; only for references that do not jump.
     The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
 
@@ -90,6 +105,7 @@ class TubeController:
     integrate: bool = True
     kernels: Sequence[CKernel] = ()
     white: bool = False
+    lost: float = math.inf
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -103,7 +119,11 @@ class TubeController:
         )  # fmt: skip
         self._step = native(self.filter["filter_step"])
         self.columns = self.filter.outputs.names
-        self._present = [[self.columns.index(c) for c in names] for names in self.model.dynamics.innovation_columns]
+        groups = self.model.dynamics.innovation_columns
+        self._present = [[self.columns.index(c) for c in names] for names in groups]
+        self.gate = Gate(groups, self.filter.noise.innovation)
+        pose = ("x, y, z", "qw, qx, qy, qz")
+        self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
         self.start()
 
     def _filter_covariance(self) -> FloatArray:
@@ -135,7 +155,15 @@ class TubeController:
         self.p = self.functions.parameter_values.copy()
         self.count = 0
         self.plan: Plan | None = None
+        self.descent: Descent | None = None
         self.events.clear()
+        self.gate.start()
+        self._watch = Watch()
+        self._told: float | None = None
+        self._ahead, self._phase = 0.0, 0.0
+        self._first: float | None = None
+        self._failures, self._unsteady = 0, False
+        self._seen = [True] * len(self._pose)
         data = self.solver.data
         data["x"][:], data["u"][:] = self._state(), self.u
 
@@ -160,34 +188,102 @@ class TubeController:
 
     # ------------------------------------------------------------------------------------------------ every sample
 
+    @property
+    def descending(self) -> bool:
+        """Whether a descent was declared."""
+        return self.descent is not None
+
     def sample(self, time: float, measured: Mapping[str, float]) -> FloatArray:
         """The command that is in force from the next sample on, (n_u,), given the measurements at `time` by column."""
+        passed = self._passed(time)
+        time -= self._ahead
+        nothing: dict[str, float] = {}
+        for k in range(passed - 1, 0, -1):
+            self._see(time - k * self.model.sample_time, nothing, called=False)
         self._see(time, measured)
-        self.count += 1
-        if self.count % self.every == 0:
-            self.past = [self.u.copy(), *self.past[:-1]]
-            self.u = self._decide(time + self.model.sample_time)
+        plans = self.count // self.every
+        self.count += passed
+        due = self.count // self.every - plans
+        if due:
+            for _ in range(min(due, len(self.past))):
+                self.past = [self.u.copy(), *self.past[:-1]]
+            u = self._decide(time + self.model.sample_time)
+            if np.isfinite(u).all():
+                self.u = u
+            else:
+                self._note(time, "the command is not finite")
         return self.u
 
-    def filtered(self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float]) -> tuple[FloatArray, bool]:
-        """The identified filter's estimate one sample after `estimate` under u, and whether anything was measured."""
-        y = np.array([float(measured.get(c, math.nan)) for c in self.columns])
-        there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
-        found = self._step(estimate, u, self.p, np.nan_to_num(y), there)[0].full().ravel()
-        return found, bool(there.any())
+    def _passed(self, time: float) -> int:
+        """Samples since the call before: 1, more where calls did not come. A clock that jumps is put right."""
+        step = self.model.sample_time
+        before, self._told = self._told, time
+        if before is None:
+            return 1
+        if not -1e-9 <= time - before <= LATE:
+            self._note(time - self._ahead, "the clock jumps")
+            # a clock that says no number says nothing about the next call either
+            self._ahead, self._phase = (self._ahead + time - before - step, 0.0) if math.isfinite(time) else (0.0, 0.0)
+            return 1
+        # early and late calls even out: what is left of a sample counts at the next call
+        self._phase += (time - before) / step
+        passed = max(1, round(self._phase))
+        self._phase = min(max(self._phase - passed, -1.0), 1.0)
+        if passed > 1:
+            self._note(time - self._ahead, "calls did not come")
+        return passed
 
-    def _see(self, time: float, measured: Mapping[str, float]) -> None:
+    def filtered(self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float]) -> tuple[FloatArray, bool]:
+        """The identified filter's estimate one sample after `estimate` under u, and whether anything was measured.
+
+        Everything that is finite is believed.
+        """
+        y, there = self._there(measured)
+        return self._step(estimate, u, self.p, y, there)[0].full().ravel(), bool(there.any())
+
+    def _there(self, measured: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """(Values, zero where there are none (n_y,); which innovations they give (n_e,))."""
+        y = plausible(self.columns, np.array([float(measured.get(c, math.nan)) for c in self.columns]))
+        there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
+        return np.nan_to_num(y), there
+
+    def _see(self, time: float, measured: Mapping[str, float], called: bool = True) -> None:
         for i, name in enumerate(self.functions.parameters.names):
             value = measured.get(name, math.nan)
-            if math.isfinite(value):
+            low, high = self.model.domain.get(name, (-math.inf, math.inf))
+            room = 0.5 * (high - low) if math.isfinite(high - low) else 0.0
+            if math.isfinite(value) and low - room <= value <= high + room:
                 self.p[i] = value
-        found, measured_any = self.filtered(self.estimate, self.u, measured)
-        if not measured_any:
+        y, there = self._there(measured)
+        after, innovation, expected = self._step(self.estimate, self.u, self.p, y, there)
+        share = self.gate(innovation.full().ravel(), there)
+        if (share < 1.0).any():
+            after = self._step(self.estimate, self.u, self.p, *self._believed(time, share, y, there, expected))[0]
+        if called and not there.any():
             self._note(time, "no measurement")
+        self._seen = [bool(there[rows].all() and share[k] > 0.0) for k, rows in self._pose]
+        found = after.full().ravel()
         if np.isfinite(found).all():
             self.estimate = found
         else:
             self._note(time, "the filter's estimate is not finite")
+
+    def _believed(
+        self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, expected: Any
+    ) -> tuple[FloatArray, FloatArray]:
+        """y and `there` with every sensor moved toward what was expected, so that `share` of its innovation is left."""
+        y, there, y_hat = y.copy(), there.copy(), expected.full().ravel()
+        for part, (name, at) in zip(share, self.gate.sensors, strict=True):
+            if part == 0.0:
+                self._note(time, f"not believed: {name}")
+                there[at] = 0.0
+            elif part < 1.0:
+                self._note(time, f"doubted: {name}")
+                rows = self._present[at[0]]
+                # a quaternion and its negative are one attitude
+                sign = -1.0 if len(rows) == 4 and y[rows] @ y_hat[rows] < 0 else 1.0
+                y[rows] = y_hat[rows] + part * (sign * y[rows] - y_hat[rows])
+        return y, there
 
     def _note(self, time: float, what: str) -> None:
         self.events.append(Event(time=time, what=what))
@@ -197,25 +293,65 @@ class TubeController:
     def _decide(self, begin: float) -> FloatArray:
         problem, data, n = self.problem, self.solver.data, self.problem.horizon
         times: FloatArray = np.asarray(begin + problem.dt * np.arange(n + 1), dtype=float)
-        path = self.reference.sample(times)
+        self._judge(begin, times)
+        path = (self.descent or self.reference).sample(times)
         self._aim(path)
         data["x0"][:] = self._state()
         data["u_before"][:] = self.u
         data["p"][: len(self.p)] = self.p
         data["ref"][:, :3], data["ref"][:, 3:6] = path.position[:n], path.velocity[:n]
         data["ref"][:, 6], data["ref"][:, 7:] = path.yaw[:n], self.steady[1]
-        data["x_end"][:] = self._end(path)
         if self.planes is not None:
-            data["plane"][:] = self.planes(times)
+            data["plane"][:] = self.planes(times if self.descent is None else np.full(n + 1, self.descent.time))
         before = (data["x"].copy(), data["u"].copy())
-        self._shift()
+        on = 1 if self._first is None else round((begin - self._first) / problem.dt)
+        if self._failures >= FAILURES or on > n:
+            self._anew(path)
+        else:
+            for _ in range(on):
+                self._shift()
+        data["x_end"][:] = self._along(path, -1)
+        if self.descent is not None:
+            self._give_up_yaw()
         outcome = self.solver.solve()
         if outcome.status != 0:
             data["x"][:], data["u"][:] = before
+            self._failures += 1
             self._note(begin, f"no solution (status {outcome.status}, QP {outcome.qp_status})")
-            return self._fallback(begin)
+            return self._fallback(begin, path)
+        self._failures, self._first = 0, begin
         self.plan = Plan(time=begin, outcome=outcome, x=data["x"].copy(), u=data["u"].copy())
         return np.asarray(data["u"][0].copy())
+
+    def _judge(self, begin: float, times: FloatArray) -> None:
+        """Whether to come down from here."""
+        if self.descent is not None:
+            return
+        place = self.estimate[self._rows("position")]
+        path = self.reference.sample(times[:1])
+        away = float(np.linalg.norm(place - path.position[0]))
+        why = self._watch(
+            begin,
+            {
+                "no steady command within the limits": (self._unsteady, HELD),
+                "position or attitude not measured": (not all(self._seen), BLIND),
+                f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
+            },
+        )
+        if why is not None:
+            self._note(begin, f"descent declared: {why}")
+            yaw = float(numeric("euler", self.estimate[self._rows("attitude")])[0][2])
+            velocity = self.estimate[self._rows("velocity")]
+            self.descent = Descent(time=begin, position=place.copy(), velocity=velocity.copy(), yaw=yaw)
+
+    def _give_up_yaw(self) -> None:
+        """The heading that the plan has anyway becomes its reference, and so does its rate at the end."""
+        data, attitude, turn = self.solver.data, self._rows("attitude"), self._rows("rate")[2]
+        yaw = numeric("euler", data["x"][:, attitude])[:, 2]
+        data["ref"][:, 6] = yaw[:-1]
+        end = data["x_end"]
+        up = numeric("rotate", end[attitude], [0.0, 0.0, 1.0])[0]
+        end[attitude], end[turn] = _tilted(up, float(yaw[-1])), data["x"][-1, turn]
 
     def _aim(self, path: Any) -> None:
         """One Newton step of the steady state that holds the reference's place under the estimated disturbance."""
@@ -227,15 +363,17 @@ class TubeController:
         new_x, new_u, _ = self.functions["target_step"](x, u, self.p, goal)
         x, u = new_x.full().ravel(), new_u.full().ravel()
         if np.isfinite(x).all() and np.isfinite(u).all():
-            self.steady = x, np.clip(u, self.problem.command_min, self.problem.command_max)
+            low, high = self.problem.command_min, self.problem.command_max
+            self.steady = x, np.clip(u, low, high)
+            self._unsteady = bool((u < low).any() or (u > high).any())
 
-    def _end(self, path: Any) -> FloatArray:
-        """Reference of the last stage: on the path, thrust along its acceleration and what the steady state holds against
-        gravity and disturbances; rotors and rates at rest."""
+    def _along(self, path: Any, k: int) -> FloatArray:
+        """State at sample k of the path: thrust along its acceleration and what the steady state holds against gravity and
+        disturbances; rotors and rates at rest."""
         x = self.steady[0].copy()
         up = numeric("rotate", x[self._rows("attitude")], [0.0, 0.0, 1.0])[0]
-        x[self._rows("position")], x[self._rows("velocity")] = path.position[-1], path.velocity[-1]
-        x[self._rows("attitude")] = _tilted(path.acceleration[-1] + GRAVITY * up / max(up[2], 0.1), float(path.yaw[-1]))
+        x[self._rows("position")], x[self._rows("velocity")] = path.position[k], path.velocity[k]
+        x[self._rows("attitude")] = _tilted(path.acceleration[k] + GRAVITY * up / max(up[2], 0.1), float(path.yaw[k]))
         x[self._rows("rate")] = 0.0
         return np.asarray(x)
 
@@ -246,16 +384,35 @@ class TubeController:
         x[:-1] = x[1:].copy()
         x[-1] = self.functions["f_d"](x[-2], u[-1], self.p).full().ravel()
 
-    def _fallback(self, begin: float) -> FloatArray:
-        stages = self.solver.stages
-        x, u = self.steady
+    def _anew(self, path: Any) -> None:
+        """A plan that owes nothing to the one before: the fallback about the path, simulated from the estimate."""
+        data, u = self.solver.data, self.u
+        x = self._state()
+        for k in range(self.problem.horizon):
+            u = self._corrected(x, u, self._along(path, k), self.steady[1])
+            data["x"][k], data["u"][k] = x, u
+            after = self.functions["f_d"](x, u, self.p).full().ravel()
+            x = after if np.isfinite(after).all() else self._along(path, k + 1)
+        data["x"][-1] = x
+
+    def _fallback(self, begin: float, path: Any) -> FloatArray:
+        """The plan before with the ancillary gain, while it lasts; then the gain about the path."""
+        x, u = self._along(path, 0), self.steady[1]
         if self.plan is not None:
             k = round((begin - self.plan.time) / self.problem.dt)
             if 0 <= k < len(self.plan.u):
                 x, u = self.plan.x[k], self.plan.u[k]
-        away = self.functions["boxminus"](self._state(), x).full().ravel()
-        limited = np.clip(u + stages.gain @ away, self.u - self.problem.rate_max, self.u + self.problem.rate_max)
-        return np.asarray(np.clip(limited, self.problem.command_min, self.problem.command_max))
+        return self._corrected(self._state(), self.u, x, u)
+
+    def _corrected(self, state: FloatArray, before: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
+        """u and the ancillary gain on what `state` is away from x, within the limits of command and rate."""
+        problem = self.problem
+        away = self.functions["boxminus"](state, x).full().ravel()
+        for name, most in NEAR.items():
+            rows = block(self.functions, name, error=True)
+            away[rows] *= min(1.0, most / max(float(np.linalg.norm(away[rows])), 1e-9))
+        limited = np.clip(u + self.solver.stages.gain @ away, before - problem.rate_max, before + problem.rate_max)
+        return np.asarray(np.clip(limited, problem.command_min, problem.command_max))
 
 
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:

@@ -186,8 +186,9 @@ class CoursePlanes:
 def controller(model: IdentifiedModel, task: Mission) -> TubeController:
     """The tube controller on the course, not tightened yet."""
     return TubeController(
-        model=model, problem=task.problem, reference=task.course, planes=CoursePlanes(task.course), integrate=False
-    )
+        model=model, problem=task.problem, reference=task.course, planes=CoursePlanes(task.course), integrate=False,
+        lost=0.5 * task.course.lost,
+    )  # fmt: skip
 
 
 def tightened(pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved: float = 0.0) -> TubeController:

@@ -1,0 +1,73 @@
+"""The declared descent: when the controller gives up the path, and the reference that it flies then.
+
+It is declared, once and for the rest of the flight, where without a break
+
+    no steady command within the limits holds the place for HELD s (a rotor or the battery has lost too much),
+    position or attitude is not measured, or not believed, for BLIND s, or
+    the estimate is farther from the path than the controller's `lost` for AWAY s.
+
+The reference brakes at BRAKE to a descent of SPEED straight down. Yaw is given up: its reference is where the plan turns to
+anyway, so that what thrust is left serves tilt and height. Planes are those of the moment of the declaration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.symbolic import FloatArray
+
+HELD, BLIND, AWAY = 0.5, 0.5, 0.1
+"""For how long a reason must hold [s]."""
+SPEED, BRAKE = 0.5, 3.0
+"""Speed of the descent [m/s] and acceleration of the way into it [m/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Samples of a reference at n times: position, velocity, acceleration (n, 3), world [m, s]; yaw (n,) [rad]."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    yaw: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descent:
+    """Straight down from where the vehicle was at `time` [s], at `position` and `velocity` (3,), heading `yaw`."""
+
+    time: float
+    position: FloatArray
+    velocity: FloatArray
+    yaw: float
+
+    def sample(self, time: FloatArray) -> Way:
+        """The reference at the times (n,)."""
+        final = np.array([0.0, 0.0, -SPEED])
+        change = self.velocity - final
+        length = max(float(np.linalg.norm(change)) / BRAKE, 1e-6)
+        t = np.maximum(np.asarray(time, dtype=float) - self.time, 0.0)[:, None]
+        s = np.minimum(t, length)
+        return Way(
+            position=self.position + final * t + change * (s - s**2 / (2.0 * length)),
+            velocity=final + change * (1.0 - s / length), acceleration=np.where(t < length, -change / length, 0.0),
+            yaw=np.full(len(t), self.yaw),
+        )  # fmt: skip
+
+
+class Watch:
+    """For how long each reason to come down has held."""
+
+    def __init__(self) -> None:
+        self.since: dict[str, float] = {}
+
+    def __call__(self, time: float, reasons: dict[str, tuple[bool, float]]) -> str | None:
+        """The reason, if any, that has held for long enough; reasons: whether it holds now and how long it must [s]."""
+        for text, (holds, long) in reasons.items():
+            if not holds:
+                self.since.pop(text, None)
+            elif time - self.since.setdefault(text, time) >= long - 1e-9:
+                return text
+        return None

@@ -1,0 +1,78 @@
+"""Gate: how far the filter may believe the measurements of a sample.
+
+The size of a sensor's innovation e of covariance S is s = sqrt(e' S^-1 e) / (REACH 2^w) (w = 0: the normalised innovation
+squared of Bar-Shalom, Li and Kirubarajan 2001, section 5.4). Up to 1 it counts in full, up to PARTLY as much as one of
+size 1 would, beyond not at all (a redescending influence: Hampel 1974, J. American Statistical Association 69(346)). What
+persists is not a spike but the vehicle - a rotor breaks, a mocap frame is corrected - so w grows by one with every sample
+that does not count in full. It goes back by RELAX a sample, no lower than what was believed last asks for, so that the
+filter of an upset vehicle is not starved. After a gap the next value may be GAP doublings farther off for every sample
+without one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.symbolic import FloatArray
+
+REACH = 8.0
+"""Standard deviations. In flights in gusts the largest of all innovations is 5; a rotor that fails shows as 10 to 40."""
+PARTLY = 6.0
+"""Size beyond which a value is wrong, whatever the vehicle does."""
+WIDEST = 40.0
+"""Doublings after which everything finite is believed."""
+RELAX, GAP, LONG = 0.1, 0.5, 12
+"""Doublings taken back by a sample that is believed; added by one that is missing, so many of them at most."""
+UNIT = (0.7, 1.4)
+"""A measured quaternion's length must lie between these."""
+
+
+class Gate:
+    """Weights of innovations, sample by sample. columns: those of every innovation, (n_e,) tuples; covariance S (n_e, n_e).
+
+    `sensors`: (name, rows of the innovation) of the sensors, those whose columns are measured together.
+    """
+
+    def __init__(self, columns: Sequence[Sequence[str]], covariance: FloatArray) -> None:
+        rows: dict[tuple[str, ...], list[int]] = {}
+        for i, names in enumerate(columns):
+            rows.setdefault(tuple(names), []).append(i)
+        self.sensors = [(", ".join(names), np.array(at)) for names, at in rows.items()]
+        self._inverse = [np.linalg.inv(covariance[np.ix_(at, at)]) for _, at in self.sensors]
+        self.start()
+
+    def start(self) -> None:
+        """All sensors are believed as they were at first."""
+        self.wide = np.zeros(len(self.sensors))
+        self.missed = np.zeros(len(self.sensors))
+
+    def __call__(self, innovation: FloatArray, there: FloatArray) -> FloatArray:
+        """Share in [0, 1] of every sensor's innovation (n_e,) that is believed; 1 where nothing is `there` (n_e,)."""
+        share = np.ones(len(self.sensors))
+        for k, ((_, at), inverse) in enumerate(zip(self.sensors, self._inverse, strict=True)):
+            if not there[at].all():
+                self.missed[k] = min(self.missed[k] + 1.0, LONG)
+                continue
+            e = innovation[at]
+            # what overflows when squared is too far off as well
+            size = math.sqrt(max(float(e @ inverse @ e), 0.0)) / REACH if np.abs(e).max() < 1e100 else math.inf
+            room = 2.0 ** (self.wide[k] + GAP * self.missed[k])
+            self.missed[k] = 0.0
+            if size <= room:
+                self.wide[k] = max(self.wide[k] - RELAX, math.log2(max(size, 1.0)))
+            else:
+                share[k] = room / size if size <= PARTLY * room else 0.0
+                self.wide[k] = min(self.wide[k] + 1.0, WIDEST)
+        return share
+
+
+def plausible(columns: Sequence[str], y: FloatArray) -> FloatArray:
+    """Measurements (n_y,) with NaN in place of what no sensor of its kind can say: infinity, a quaternion of no length."""
+    out = np.where(np.isfinite(y), y, np.nan)
+    at = [i for i, c in enumerate(columns) if c in ("qw", "qx", "qy", "qz")]
+    if len(at) == 4 and not UNIT[0] <= np.hypot.reduce(np.nan_to_num(out[at])) <= UNIT[1]:
+        out[at] = np.nan
+    return out
