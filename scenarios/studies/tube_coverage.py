@@ -1,12 +1,14 @@
 """Is the tube as wide as the flights are? Coverage of its sets along flights, stage by stage, and what makes it wide.
 
-From every `EVERY`-th plan of a flight a copy of the plant flies on with the planned commands and the ancillary gain on the
-filter's estimate, without a new plan. Per group of states (position, velocity, attitude, rate) and stage: the share of true
-states inside the 68 and 95 % ellipsoids (chi-square, 3 degrees of freedom); per state: the stated 95 % half width over the
-95 % quantile of |true - planned|. Training seeds only. Then the parts of the stated variance, at hover: the filter's error,
-its innovations, the learned part, the parameters.
+From every `EVERY`-th plan of a flight, so that branches of one flight do not overlap, a copy of the plant flies on with the
+planned commands and the ancillary gain on the filter's estimate, without a new plan. Per group of states (position,
+velocity, attitude, rate) and stage: the share of true states inside the 68 and 95 % ellipsoids (chi-square, 3 degrees of
+freedom), with its standard error from one flight to the next; per state: the stated 95 % half width over the 95 % quantile
+of |true - planned|. Judging seeds that no controller of the study starts with. Then the parts of the stated variance, at
+hover: the filter's error, its innovations, the learned part, the parameters, what the nonlinear loop adds. What was found
+so far is kept after every tenth flight.
 
-    python -m scenarios.studies.tube_coverage --out OUT [--flights 20] [--deviations 1.5]
+    python -m scenarios.studies.tube_coverage --out OUT [--flights 110] [--deviations 1.5] [--rehearsed]
 """
 
 from __future__ import annotations
@@ -23,20 +25,25 @@ from scipy.stats import chi2, norm
 
 from greybox.files import write_json
 from mpc_export.tube.controller import TubeController
-from scenarios.courses import TRAINING_SEEDS
+from scenarios.courses import JUDGING_SEEDS
 from scenarios.studies.tube_mpc import DT, PROBLEM, TRUE, controller, flight, models
+from scenarios.studies.tube_rehearsal import RehearsedPlant
 
 Array = NDArray[np.float64]
 GROUPS = {"position": 0, "velocity": 3, "attitude": 6, "rate": 9}
 LEVELS = (0.68, 0.95)
-EVERY = 10
-FIRST = 40
-"""First training seed of this study: the ones before were tuned on."""
+EVERY = PROBLEM.horizon
+FIRST = 80
+"""Where this study's judging seeds begin."""
 SHOWN = (1, 2, 3, 5, 10, 15, 20)
+KEPT = 10
 
 
-def branches(pilot: TubeController, seeds: Sequence[int], every: int = EVERY) -> tuple[Array, Array]:
-    """(true - planned (n, N, n_d), stated covariances (n, N, n_d, n_d)) of all branches of flights with these seeds."""
+def branches(pilot: TubeController, seed: int, plant: Any = None) -> tuple[Array, Array]:
+    """(true - planned (n, N, n_d), stated covariances (n, N, n_d, n_d)) of the branches of a flight.
+
+    plant: default the course's vehicle.
+    """
     away: list[Array] = []
     stated: list[Array] = []
     count = 0
@@ -44,12 +51,11 @@ def branches(pilot: TubeController, seeds: Sequence[int], every: int = EVERY) ->
     def at(_: int, plant: Any, flown: TubeController) -> None:
         nonlocal count
         count += 1
-        if count % every == 0:
+        if count % EVERY == 0:
             stated.append(flown.solver.data["covariance"][1:].copy())
-            away.append(branch(copy.deepcopy(plant), flown))
+            away.append(branch(plant.copied() if isinstance(plant, RehearsedPlant) else copy.deepcopy(plant), flown))
 
-    for seed in seeds:
-        flight(pilot, seed, at=at)
+    flight(pilot, seed, at=at, plant=plant)
     return np.array(away), np.array(stated)
 
 
@@ -93,51 +99,88 @@ def widths(away: Array, stated: Array) -> Array:
 
 
 def parts(pilot: TubeController, stages: int) -> dict[str, Array]:
-    """(stages + 1, 12) Variances at hover of the filter's error, its innovations, the learned part, the parameters."""
+    """(stages + 1, 12) Variances at hover of the filter's error, its innovations, the learned part, the parameters, and what
+    the nonlinear loop adds."""
     model, made = pilot.functions, pilot.solver.stages
     x, u = made.steady
     n = model.sizes
     z, c, b = np.zeros((n["n_d"],) * 2), np.zeros((n["n_d"], n["n_g"])), np.zeros((n["n_d"], n["n_theta"]))
-    rows: dict[str, list[Array]] = {k: [] for k in ("filter", "innovations", "learned part", "parameters")}
-    for _ in range(stages + 1):
-        matrices = (made.estimate, z, c @ c.T, b @ model.covariance @ b.T)
+    names = ("filter", "innovations", "learned part", "parameters", "second order")
+    rows: dict[str, list[Array]] = {k: [] for k in names}
+    for k in range(stages + 1):
+        matrices = (made.estimate, z, c @ c.T, b @ model.covariance @ b.T, made.bent[k])
         for name, matrix in zip(rows, matrices, strict=True):
             rows[name].append(np.diag(matrix)[:12].copy())
         _, z, c, b = (v.full() for v in made.functions["tube_spread"](x, u, model.parameter_values, z, c, b))
     return {k: np.array(v) for k, v in rows.items()}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", required=True, type=Path)
-    parser.add_argument("--flights", type=int, default=20)
-    parser.add_argument(
-        "--deviations", type=float, default=1.5, help="standard deviations that limits are tightened by"
-    )
-    options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
-    pilot = controller(models(options.out)["hybrid"], deviations=options.deviations)
-    away, stated = branches(pilot, TRAINING_SEEDS[FIRST : FIRST + options.flights])
-    found, ratio, terms = shares(away, stated), widths(away, stated), parts(pilot, PROBLEM.horizon)
-    print(f"{len(away)} branches of {options.flights} flights; stages {SHOWN}, then all stages together")
+def errors(away: Array, stated: Array, flights: int) -> dict[str, dict[float, Array]]:
+    """Standard errors of `shares` (N,), and last of their mean over stages, from one flight to the next."""
+    found: dict[str, dict[float, Array]] = {g: {} for g in GROUPS}
+    parts_ = [shares(*v) for v in zip(np.array_split(away, flights), np.array_split(stated, flights), strict=True)]
+    for group, level in ((g, v) for g in GROUPS for v in LEVELS):
+        each = np.array([p[group][level] for p in parts_])
+        each = np.column_stack([each, each.mean(axis=1)])
+        found[group][level] = (
+            each.std(axis=0, ddof=1) / np.sqrt(flights) if flights > 1 else np.full(each.shape[1], np.nan)
+        )
+    return found
+
+
+def told(away: Array, stated: Array, terms: dict[str, Array], flights: int, deviations: float, out: Path) -> None:
+    """Print what was found and keep it."""
+    found, doubt, ratio = shares(away, stated), errors(away, stated, flights), widths(away, stated)
+    print(f"{len(away)} branches of {flights} flights; stages {SHOWN}, then all stages together (standard error)")
     at = np.array(SHOWN) - 1
     for name, levels in found.items():
         for level, share in levels.items():
-            print(f"{name:9s} {level:.0%} inside: {np.round(share[at], 3)}  mean {share.mean():.3f}")
+            own = doubt[name][level]
+            print(
+                f"{name:9s} {level:.0%} inside: {np.round(share[at], 3)}  mean {share.mean():.3f} ({own[-1]:.4f}, of a "
+                f"stage at most {own[:-1].max():.4f})"
+            )
         rows = ratio[:, GROUPS[name] : GROUPS[name] + 3]
-        print(f"{name:9s} half width / quantile: {np.round(rows.mean(axis=1)[at], 2)}  largest {rows.max():.2f}")
+        print(
+            f"{name:9s} half width / quantile: {np.round(rows.mean(axis=1)[at], 2)}  {rows.min():.2f} to {rows.max():.2f}"
+        )
     for stage in (1, 5, 20):
         sizes = {k: 1e3 * np.sqrt(v[stage, [0, 2]]) for k, v in terms.items()}
         print(
             f"stage {stage:2d}, standard deviations of x, z [mm]: "
             + ", ".join(f"{k} {np.round(v, 2)}" for k, v in sizes.items())
         )
-    write_json(options.out / "coverage.json", {
-        "schema": "greybox.study/1", "branches": len(away), "deviations": options.deviations,
+    write_json(out / "coverage.json", {
+        "schema": "greybox.study/1", "branches": len(away), "flights": flights, "deviations": deviations,
         "inside": {g: {f"{v:g}": s.tolist() for v, s in levels.items()} for g, levels in found.items()},
+        "standard_error": {g: {f"{v:g}": s.tolist() for v, s in levels.items()} for g, levels in doubt.items()},
         "half_width_over_quantile": ratio.tolist(), "variances": {k: v.tolist() for k, v in terms.items()},
     })  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the study."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", required=True, type=Path)
+    parser.add_argument("--flights", type=int, default=110)
+    parser.add_argument(
+        "--deviations", type=float, default=1.5, help="standard deviations that limits are tightened by"
+    )
+    parser.add_argument("--rehearsed", action="store_true", help="fly the identified model instead of the plant")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    hybrid = models(options.out)["hybrid"]
+    pilot, plant = (
+        controller(hybrid, deviations=options.deviations),
+        RehearsedPlant(hybrid) if options.rehearsed else None,
+    )
+    terms = parts(pilot, PROBLEM.horizon)
+    found: list[tuple[Array, Array]] = []
+    for seed in JUDGING_SEEDS[FIRST : FIRST + options.flights]:
+        found.append(branches(pilot, seed, plant))
+        if len(found) % KEPT == 0 or len(found) == options.flights:
+            away, stated = (np.concatenate(v) for v in zip(*found, strict=True))
+            told(away, stated, terms, len(found), options.deviations, options.out)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ function g(z) is mean(z) + sd(z) e as well, e ~ N(0, I) drawn once a flight: the
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 from scenarios.studies.mpc_plant import ModelPlant
@@ -18,3 +19,9 @@ class RehearsedPlant(ModelPlant):
         """Hover at `position` [m], with parameters, learned error and disturbances of this seed."""
         super().reset(seed, position=position)
         self._error = self._rng.standard_normal(len(self._channels))
+
+    def copied(self) -> RehearsedPlant:
+        """A copy that flies on by itself, with the draws that this one would have had; compiled functions are shared."""
+        other = copy.copy(self)
+        other._rng = copy.deepcopy(self._rng)
+        return other

@@ -49,3 +49,15 @@ def test_flights_differ_and_a_seed_repeats(plant):
     drawn = [still(plant, seed)[1] for seed in (1, 2, 1)]
     np.testing.assert_array_equal(drawn[0], drawn[2])
     assert not np.allclose(drawn[0], drawn[1])
+
+
+def test_a_copy_flies_on_as_the_original_would_have_done(plant):
+    plant.reset(5)
+    plant.step(plant._u)
+    other = plant.copied()
+    ends = []
+    for one in (plant, other):
+        for _ in range(5):
+            one.step(one._u)
+        ends.append(one.measure())
+    assert ends[0] == ends[1]

@@ -76,6 +76,20 @@ def test_coverage_of_true_gaussians_is_nominal_and_of_half_as_wide_ones_is_not()
     np.testing.assert_allclose(tube_coverage.widths(away, stated / 4), 0.5, atol=0.04)
 
 
+def test_the_doubt_about_a_share_is_that_of_independent_flights():
+    rng = np.random.default_rng(1)
+    flights, each = 60, 20
+    away = rng.standard_normal((flights * each, 2, 12))
+    stated = np.broadcast_to(np.eye(12), (flights * each, 2, 12, 12))
+    own = tube_coverage.errors(away, stated, flights)["position"][0.68]
+    expected = np.sqrt(0.68 * 0.32 / (flights * each))
+    np.testing.assert_allclose(own[:2], expected, rtol=0.3)
+    # branches of one flight that are alike count once
+    alike = np.repeat(away[::each], each, axis=0)
+    own = tube_coverage.errors(alike, stated, flights)["position"][0.68]
+    np.testing.assert_allclose(own[:2], np.sqrt(each) * expected, rtol=0.3)
+
+
 def test_what_was_tuned_is_not_tuned_again(tmp_path):
     tuning = tube_tuning.Tuning(tmp_path, hybrid=None, report=lambda text: pytest.fail(text))
     tuning._keep("rehearsed", [(0.5, 12), (1.0, 4), (1.5, 1)])
