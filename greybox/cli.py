@@ -62,7 +62,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     from greybox.errors import GreyboxError
 
-    arguments = build_parser().parse_args(argv)
+    try:
+        arguments = build_parser().parse_args(argv)
+    except KeyboardInterrupt:
+        print("greybox: interrupted", file=sys.stderr)
+        return 130
     try:
         with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
             code = int(arguments.run(arguments))

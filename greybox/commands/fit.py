@@ -163,18 +163,25 @@ def run(arguments: argparse.Namespace) -> int:
     def progress(iteration: int, cost: float, decrement: float) -> None:
         say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
 
-    interrupted = False
+    out = Path(arguments.out)
+
+    def save(result: Any) -> dict[str, Any]:
+        content: dict[str, Any] = result.to_dict()
+        content["warnings"] = [*warnings, *content["warnings"]]
+        ours = sys.argv[1:2] == ["fit"]
+        content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"
+        write_json(out / "fit.json", content)
+        result.model.save(out / "model.json")
+        return content
+
     try:
         result = fit_with(arguments, vehicle, train, progress)
     except Interrupted as stop:
-        result, interrupted = stop.kept, True
-    content = result.to_dict()
-    content["warnings"] = [*warnings, *content["warnings"]]
-    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["fit"] else "greybox fit"
-    out = Path(arguments.out)
+        save(stop.kept)
+        say(f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}")
+        raise
     # The fit is safe before anything else can go wrong.
-    write_json(out / "fit.json", content)
-    result.model.save(out / "model.json")
+    content = save(result)
     validated = test if test.flights else train
     checked: dict[str, Any] | None = None
     try:
@@ -201,8 +208,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not quiet:
         print(result.summary())
         print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
-    if interrupted:
-        raise KeyboardInterrupt
     return 0 if result.converged else 1
 
 

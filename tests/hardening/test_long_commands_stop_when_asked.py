@@ -1,52 +1,113 @@
-"""SIGINT to a long command in a process of its own: exit code 130, one line, no half-written file.
+"""Ctrl-C at a long command in a process of its own: exit code 130, one last line, no half-written file, nobody left behind.
 
-Interrupts inside `discover` and `mpc`, and what they keep: tests/cli/test_discover_writes_what_it_finds.py and
-tests/cli/test_mpc_flies_resumes_and_refuses.py.
+The whole process group is asked, as a terminal does it, as soon as the command says that it is at work. What `discover`
+and `mpc` keep: tests/cli/test_discover_writes_what_it_finds.py and tests/cli/test_mpc_flies_resumes_and_refuses.py;
+interrupts inside a fit: tests/estimation/test_an_interrupt_keeps_the_best_so_far.py.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 
 import pytest
 
 from scenarios.flights import flight_path, vehicle_path
-from tests.hardening.log_faults import SET
 
-FLIGHTS = [str(flight_path(SET, n)) for n in ("B8_star_fast_rep2", "B8_star_fast_rep3", "B8_star_medium_rep1")]
-FIT = ["--vehicle", str(vehicle_path(SET)), "--train", *FLIGHTS]
+ARPL = "arpl_crazyflie"
+LOG = str(flight_path(ARPL, "log15"))
+FLIGHT = ["--vehicle", str(vehicle_path(ARPL)), "--train", LOG]
+FIT = ["fit", *FLIGHT, "--rate", "100", "--effects", "motor_lag"]
 COMMANDS = {
-    "fit": ["fit", *FIT, "--effects", "motor_lag,rotor_drag,command_delay"],
-    "discover": ["discover", *FIT],
-    "plan": ["plan", "--vehicle", str(vehicle_path(SET))],
-}
+    "discover": (["discover", *FLIGHT, "--rate", "100"], " % "),
+    "plan": (["plan", "--vehicle", str(vehicle_path(ARPL))], "\n"),
+    "mpc": (["mpc", "demo", "--flights", "2"], "\n"),
+    "compare": (
+        ["compare", *FLIGHT, "--test", str(flight_path(ARPL, "log16")), "--rate", "100", "--effects", "motor_lag"],
+        "...",
+    ),
+    "linear": (
+        ["linear", *FLIGHT, "--rate", "100", "--inputs", "u3+u4-u1-u2,u2+u3-u1-u4", "--outputs", "p,q",
+         "--order", "3", "--siso"],
+        "linear-p",
+    ),
+}  # fmt: skip
+"""Command -> (arguments, what it says when it is at work)."""
 
 
-@pytest.mark.parametrize(("command", "after"), [("fit", 5.0), ("discover", 5.0), ("plan", 4.0)])
-def test_an_interrupt_is_one_line_and_leaves_whole_files(command: str, after: float, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "greybox.cli", *COMMANDS[command], "--out", str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
-    )  # fmt: skip
-    try:
-        time.sleep(after)
-        if process.poll() is not None:
-            pytest.skip("done before it was interrupted")
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 130, said
-    assert "Traceback" not in said
-    assert said.strip().splitlines()[-1] == f"greybox {command}: interrupted"
-    files = [p for p in tmp_path.rglob("*") if p.is_file()]
-    assert not [p for p in files if p.suffix == ".part"]
-    for path in files:
+def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
+    """What `greybox ARGUMENTS --out out` in `folder` says, which is interrupted when it says `sign`."""
+    said: list[str] = []
+    at_work = threading.Event()
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", "greybox.cli", *arguments, "--out", "out"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, start_new_session=True,
+    ) as process:  # fmt: skip
+
+        def listen() -> None:
+            for line in process.stdout or ():
+                said.append(line)
+                if sign in line:
+                    at_work.set()
+            at_work.set()
+
+        listener = threading.Thread(target=listen)
+        listener.start()
+        try:
+            assert at_work.wait(120), "it never began"
+            assert process.poll() is None, "".join(said)
+            os.killpg(process.pid, signal.SIGINT)
+            code = process.wait(60)
+        finally:
+            process.kill()
+        listener.join(10)
+    text = "".join(said)
+    # A shell calls both 130: Python ends itself with the signal where the interrupt passed through an import.
+    assert code in (130, -signal.SIGINT), text
+    assert "Traceback" not in text
+    assert said[-1] == f"greybox {arguments[0]}: interrupted\n"
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)
+    return text
+
+
+def files(folder: Path) -> set[str]:
+    """Names of all files below; every JSON file among them is whole."""
+    found = [p for p in folder.rglob("*") if p.is_file()]
+    for path in found:
         if path.suffix == ".json":
             json.loads(path.read_text())
+    return {p.name for p in found}
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an interrupted fit."""
+    folder = tmp_path_factory.mktemp("fit")
+    assert "best values so far" in interrupted(FIT, "iteration   1", folder)
+    return folder
+
+
+def test_fit_keeps_the_best_values(fitted: Path) -> None:
+    assert files(fitted) == {"fit.json", "model.json"}
+    kept = json.loads((fitted / "out" / "fit.json").read_text())
+    assert not kept["status"]["converged"]
+    assert "interrupted" in kept["warnings"][0]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_nothing_half_written_is_left(command: str, tmp_path: Path) -> None:
+    interrupted(*COMMANDS[command], tmp_path)
+    assert not {n for n in files(tmp_path) if n.endswith((".part", ".html"))}
+
+
+@pytest.mark.skipif(importlib.util.find_spec("gpytorch") is None, reason="the extra gp is not installed")
+def test_learn_leaves_no_hybrid(fitted: Path, tmp_path: Path) -> None:
+    interrupted(["learn", str(fitted / "out" / "model.json"), "--train", LOG], " % ", tmp_path)
+    assert files(tmp_path) == set()
