@@ -68,6 +68,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("greybox: interrupted", file=sys.stderr)
         return 130
     try:
+        for option in ("out", "json"):
+            if (path := getattr(arguments, option, None)) not in (None, "-"):
+                from greybox.files import check_writable
+
+                check_writable(path)
         with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
             code = int(arguments.run(arguments))
             sys.stdout.flush()

@@ -6,6 +6,7 @@ JSON has no NaN or infinity, so that these are written as null.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -60,6 +61,28 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
     return target
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Whether a file can be written at `path` or, where it is a folder, in it: said before hours of work, not after.
+
+    Nothing is made. Raises `OutputError` (disk full, read-only folder, a file where a folder should be).
+    """
+    place = Path(path)
+    try:
+        while not place.exists():
+            place = place.parent
+        if place == Path(path) and not place.is_dir():
+            if place.is_file() and not os.access(place.parent, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
+        with tempfile.TemporaryFile(dir=place) as probe:
+            probe.write(b"greybox")
+            probe.flush()
+    except OSError as error:
+        raise OutputError(
+            f"cannot write: {error.strerror or error}", where=str(path), fix="choose another --out"
+        ) from None
 
 
 def to_plain(value: Any) -> Any:
