@@ -48,6 +48,8 @@ FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
 NEAR = {"position": 0.3, "velocity": 1.0}
 """The fallback corrects no more than this at a time [m, m/s]: its gain is linear and the commands are bounded."""
+MEAN = 0.3
+"""Time constant of the mean command that weak rotors are judged by [s]."""
 
 
 class Reference(Protocol):
@@ -122,6 +124,7 @@ class TubeController:
         groups = self.model.dynamics.innovation_columns
         self._present = [[self.columns.index(c) for c in names] for names in groups]
         self.gate = Gate(groups, self.filter.noise.innovation)
+        self._spin = np.array([float(r.spin) for r in self.model.physics.vehicle.rotors])
         pose = ("x, y, z", "qw, qx, qy, qz")
         self._pose = [(k, rows) for k, (name, rows) in enumerate(self.gate.sensors) if name in pose]
         self.start()
@@ -162,7 +165,8 @@ class TubeController:
         self._told: float | None = None
         self._ahead, self._phase = 0.0, 0.0
         self._first: float | None = None
-        self._failures, self._unsteady = 0, False
+        self._failures = 0
+        self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
         self._seen = [True] * len(self._pose)
         data = self.solver.data
         data["x"][:], data["u"][:] = self._state(), self.u
@@ -331,15 +335,16 @@ class TubeController:
         path = self.reference.sample(times[:1])
         away = float(np.linalg.norm(place - path.position[0]))
         why = self._watch(
-            begin,
+            self.problem.dt,
             {
-                "no steady command within the limits": (self._unsteady, HELD),
+                "no steady command within the limits": (bool(self._weak.any()), HELD),
                 "position or attitude not measured": (not all(self._seen), BLIND),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
             },
         )
         if why is not None:
-            self._note(begin, f"descent declared: {why}")
+            weak = ", ".join(n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w)
+            self._note(begin, f"descent declared: {why}{f' ({weak})' if weak else ''}")
             yaw = float(numeric("euler", self.estimate[self._rows("attitude")])[0][2])
             velocity = self.estimate[self._rows("velocity")]
             self.descent = Descent(time=begin, position=place.copy(), velocity=velocity.copy(), yaw=yaw)
@@ -365,7 +370,23 @@ class TubeController:
         if np.isfinite(x).all() and np.isfinite(u).all():
             low, high = self.problem.command_min, self.problem.command_max
             self.steady = x, np.clip(u, low, high)
-            self._unsteady = bool((u < low).any() or (u > high).any())
+            self._weak = self._needed(u) > high
+
+    def _needed(self, u: FloatArray) -> FloatArray:
+        """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what acts now.
+
+        What a rotor lost is a force and a torque to the filter, which grow with its command: as long as less is given, less
+        seems to be needed. With thrust as the square of the command, a mean m that acts like m^2 - (u^2 - hover^2) says
+        hover m / sqrt(m^2 - (u^2 - hover^2)). A model whose yaw torque has no noise shares one rotor's loss
+        among four, with their spins' signs: the median over the rotors is that share.
+        """
+        hover = self.solver.stages.steady[1]
+        self._mean += self.problem.dt / (self.problem.dt + MEAN) * (self.u - self._mean)
+        more = u**2 - hover**2
+        if len(self._spin) == len(u) == 4:
+            more -= self._spin * np.median(self._spin * more)
+        given = np.maximum(self._mean, 1e-3) ** 2
+        return np.asarray(np.maximum(u, hover * np.sqrt(given / np.maximum(given - more, 0.01 * given))))
 
     def _along(self, path: Any, k: int) -> FloatArray:
         """State at sample k of the path: thrust along its acceleration and what the steady state holds against gravity and

@@ -1,8 +1,8 @@
 """The declared descent: when the controller gives up the path, and the reference that it flies then.
 
-It is declared, once and for the rest of the flight, where without a break
+It is declared, once and for the rest of the flight, where more often than not, for the times stated,
 
-    no steady command within the limits holds the place for HELD s (a rotor or the battery has lost too much),
+    no steady command within the limits holds the place, for HELD s (a rotor or the battery has lost too much),
     position or attitude is not measured, or not believed, for BLIND s, or
     the estimate is farther from the path than the controller's `lost` for AWAY s.
 
@@ -58,16 +58,15 @@ class Descent:
 
 
 class Watch:
-    """For how long each reason to come down has held."""
+    """For how long each reason to come down has held, less the time for which it has not since."""
 
     def __init__(self) -> None:
-        self.since: dict[str, float] = {}
+        self.held: dict[str, float] = {}
 
-    def __call__(self, time: float, reasons: dict[str, tuple[bool, float]]) -> str | None:
-        """The reason, if any, that has held for long enough; reasons: whether it holds now and how long it must [s]."""
+    def __call__(self, passed: float, reasons: dict[str, tuple[bool, float]]) -> str | None:
+        """The reason, if any, that has held for long enough; whether each holds in the `passed` s, and how long it must."""
         for text, (holds, long) in reasons.items():
-            if not holds:
-                self.since.pop(text, None)
-            elif time - self.since.setdefault(text, time) >= long - 1e-9:
+            self.held[text] = max(self.held.get(text, 0.0) + (passed if holds else -passed), 0.0)
+            if self.held[text] >= long - 1e-9:
                 return text
         return None

@@ -122,7 +122,7 @@ FAULTS = {
         Fault(name="rotor-30", text="one rotor loses 30 % of its thrust", weak=0.7),
         Fault(name="rotor-75", text="one rotor loses 75 % of its thrust: no steady hover with yaw", weak=0.25),
         Fault(name="battery", text="voltage falls: all thrusts times 0.85", weak=0.85, all_rotors=True),
-        Fault(name="collapse", text="voltage collapses: all thrusts times 0.3, less than the weight", weak=0.3,
+        Fault(name="collapse", text="voltage collapses: all thrusts times 0.315, less than the weight", weak=0.315,
               all_rotors=True),
         Fault(name="drop-1", text="one sample without measurements", seen=_lost(ALL, 1)),
         Fault(name="drop-10", text="ten samples in a row without measurements", seen=_lost(ALL, 10)),
