@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import hashlib
+import io
 import os
 import zlib
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
+from greybox.data.memory import allowance
 from greybox.errors import DataError
 
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -58,7 +60,13 @@ def _content(path: str | os.PathLike[str], where: str) -> tuple[bytes, str]:
         raise DataError("not a gzip file, in spite of its name", where=where, fix="rename it, or compress it again")
     if packed:
         try:
-            content = gzip.decompress(content)
+            most = allowance(path) // 4  # text, numbers and what lies between them
+            with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
+                content = stream.read(most + 1)
+            if len(content) > most:
+                raise DataError(
+                    f"the gzip file unpacks to more than {most / 2**20:.0f} MiB", where=where, fix="cut the log into pieces"
+                )
         except (OSError, EOFError, zlib.error) as error:
             raise DataError(
                 f"the gzip file is damaged ({error})", where=where, fix="copy or compress the log again"

@@ -1,11 +1,12 @@
 """Read a MAT file in a process of its own: a damaged one can crash scipy's compiled parser, and then only this process.
 
-Run by `matlab.py` as `python -P mat_child.py FILE OUT.npz`; needs numpy and scipy only. Writes the vectors and, as JSON,
-their names and the names of all variables. Exit code 1 and one line on standard error where the file cannot be read.
+Run by `matlab.py` as `python -P mat_child.py FILE OUT.npz BYTES`; needs numpy and scipy only. Writes the vectors and,
+as JSON, their names and the names of all variables. Exit code 1 and one line on standard error where it cannot be read.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import warnings
@@ -42,12 +43,23 @@ def vectors(values: Mapping[str, Any], prefix: str, depth: int) -> Iterator[tupl
                     yield f"{full}[{j}]", np.ascontiguousarray(matrix[:, j])
 
 
-def main(source: str, target: str) -> int:
-    """Read `source`, write `target`. Returns the exit code."""
+def bound(most: int) -> None:
+    """This process may take so many more bytes (Linux)."""
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        import resource
+
+        with open("/proc/self/statm", encoding="ascii") as stream:
+            used = int(stream.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def main(source: str, target: str, most: int) -> int:
+    """Read `source`, write `target`, take at most `most` bytes. Returns the exit code."""
     warnings.simplefilter("ignore")
     try:
         from scipy.io import loadmat
 
+        bound(most)
         content = loadmat(source, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
         content = {k: v for k, v in content.items() if not k.startswith("__")}
         found = dict(vectors(content, "", 0))
@@ -61,4 +73,4 @@ def main(source: str, target: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], sys.argv[2]))
+    sys.exit(main(sys.argv[1], sys.argv[2], int(sys.argv[3])))

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
+from greybox.data.memory import allowance
 from greybox.data.readers.recording import LogFormat, checked_file
 from greybox.errors import DataError
 
@@ -67,7 +68,7 @@ def _read_apart(where: str) -> tuple[dict[str, npt.NDArray[np.float64]], list[st
         target = Path(folder) / "vectors.npz"
         try:
             done = subprocess.run(
-                [sys.executable, "-P", str(script), os.path.abspath(where), str(target)],
+                [sys.executable, "-P", str(script), os.path.abspath(where), str(target), str(allowance(where))],
                 capture_output=True, text=True, timeout=TIME_LIMIT, check=False, stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except OSError as error:

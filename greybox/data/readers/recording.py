@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.memory import allowance, bounded
 from greybox.data.raw import FloatArray
 from greybox.errors import DataError, GreyboxError
 
@@ -153,16 +154,19 @@ def library(name: str, *, where: str, what: str) -> Any:
 
 @contextlib.contextmanager
 def damaged(where: str, what: str, *, fix: str = "copy the log again") -> Iterator[None]:
-    """Turn whatever a parser of foreign bytes raises into one `DataError`; its warnings are not ours to show.
+    """Turn whatever a parser of foreign bytes raises into one `DataError`, within a bounded memory; its warnings are not
+    ours to show.
 
     Parsers of damaged files fail in any way they like (struct, index, memory, recursion), so that the net is wide.
     """
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), bounded(where):
             warnings.simplefilter("ignore")
             yield
     except (GreyboxError, KeyboardInterrupt):
         raise
+    except MemoryError:
+        raise DataError(f"takes more than {allowance(where) / 2**30:.1f} GiB to read", where=where, fix=fix) from None
     except Exception as error:
         text = str(error).strip().splitlines()
         said = f"{type(error).__name__}: {text[0][:120]}" if text else type(error).__name__
