@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("greybox: interrupted", file=sys.stderr)
         return 130
     try:
-        for option in ("out", "json"):
+        for option in ("out", "json", "draft"):
             if (path := getattr(arguments, option, None)) not in (None, "-"):
                 from greybox.files import check_writable
 

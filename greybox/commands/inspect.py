@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import Any
 
 
@@ -21,16 +22,19 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file: names of columns, number of rotors, known facts")
     p.add_argument("--all", action="store_true", help="list every stream, also those that are not used")
     p.add_argument("--out", metavar="LOG.csv", help="write the canonical channels to this CSV file (.csv or .csv.gz)")
+    p.add_argument("--draft", metavar="MAP.toml", help="write what columns with names of their own look like as a mapping "
+                   "file, to be looked over")  # fmt: skip
     p.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect, convert, print. Returns 0, or 1 where the log has no commands and sensors in common to fit."""
+    from greybox.data.column_guess import mapping_text
     from greybox.data.inspection import inspect_log
     from greybox.data.logs.write import write_csv
     from greybox.errors import DataError
-    from greybox.files import dump_json, write_json
+    from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
 
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
@@ -38,7 +42,16 @@ def run(arguments: argparse.Namespace) -> int:
     content = found.to_dict()
     content["effects"] = effects(found, vehicle)
     content["uses"] = uses(found)
+    guesses, time = looks(found, named=bool(arguments.mapping))
+    content["looks_like"] = [
+        {"group": g.group, "fields": list(g.fields), "unit": g.unit, "limits": g.limits, "why": g.why} for g in guesses
+    ]
+    content["next"] = advice(found, content, arguments, beside(arguments.log, found) if vehicle is None else None)
     written = None
+    if arguments.draft:
+        if not guesses:
+            raise DataError("no column looks like a channel that is missing", where=arguments.log)
+        write_atomic(arguments.draft, mapping_text(guesses, time))
     if arguments.out:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
@@ -52,6 +65,59 @@ def run(arguments: argparse.Namespace) -> int:
         if written is not None:
             print(f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s")
     return 0 if content["uses"]["fit"] else 1
+
+
+def looks(found: Any, *, named: bool) -> tuple[tuple[Any, ...], tuple[str, str] | None]:
+    """(guesses, time column) of a table with columns of its own; nothing where a mapping file says what they are."""
+    from greybox.data.column_guess import guess_columns, guess_time
+    from greybox.data.readers.mapping import TABLE
+
+    if named or found.format.table is None or TABLE not in found.recording.streams:
+        return (), None
+    columns = found.recording.streams[TABLE].fields
+    return guess_columns(columns, without={g.group for g in found.groups}), guess_time(columns)
+
+
+def beside(log: str, found: Any) -> str | None:
+    """A vehicle file in the folder of the log whose `[columns]` are all there."""
+    from greybox.data.readers.mapping import TABLE
+    from greybox.errors import GreyboxError
+    from greybox.model.vehicle import read_vehicle
+
+    stream = found.recording.streams.get(TABLE)
+    for path in sorted(Path(log).parent.glob("*.toml"))[:20] if stream is not None else ():
+        try:
+            columns = read_vehicle(path).columns
+        except GreyboxError:
+            continue
+        if columns and {c.name for c in columns.values()} <= set(stream.fields):
+            return str(path)
+    return None
+
+
+def advice(found: Any, content: dict[str, Any], arguments: argparse.Namespace, known: str | None) -> list[str]:
+    """What to do next, in the order in which to try it."""
+    log, has = arguments.log, [f"--mapping {arguments.mapping}"] if arguments.mapping else []
+    has += [f"--vehicle {arguments.vehicle}"] if arguments.vehicle else []
+    if known is not None:
+        return [f"{known} knows these columns: greybox inspect {log} --vehicle {known}"]
+    out = []
+    if content["looks_like"] and not arguments.draft:
+        out.append(f"write the guess and look it over: greybox inspect {log} --draft map.toml")
+        out.append(f"then: greybox inspect {log} --mapping map.toml")
+    elif content["looks_like"]:
+        out.append(f"look {arguments.draft} over, then: greybox inspect {log} --mapping {arguments.draft}")
+    if arguments.vehicle is None:
+        from greybox.model.vehicle_template import TEMPLATES
+
+        names = ", ".join(TEMPLATES)
+        out.append(f"a vehicle file: greybox vehicle new --template NAME --out V.toml ({names}; docs/vehicle.md)")
+        has.append("--vehicle V.toml")
+    if content["uses"]["fit"]:
+        out.append(f"greybox check {' '.join([*has, log])}")
+        if arguments.vehicle is not None:
+            out.append(f"greybox fit {' '.join(has)} --train {log} ... (docs/tutorial.md)")
+    return out
 
 
 def _sensors(found: Any) -> tuple[str, ...]:
@@ -132,8 +198,9 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
             lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
         good = content["uses"]
+        none = "nothing under these names (see LOOKS LIKE and NEXT)" if content["looks_like"] else "nothing"
         lines.append(
-            "  fits: " + (", ".join(k for k in ("rotation", "translation") if good[k]) or "nothing")
+            "  fits: " + (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
             + (", also with rotor speeds as the input" if good["speed_input"] else "")
         )  # fmt: skip
         if good["predictor"] == "kalman":
@@ -143,9 +210,18 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         possible, lacking = content["effects"]["possible"], content["effects"]["lacking"]
         lines.append(f"  effects: {len(possible)} of {len(possible) + len(lacking)}")
         lines += [f"    {name} lacks {', '.join(lacks)}" for name, lacks in lacking.items()]
+    if content["looks_like"]:
+        lines += ["", "LOOKS LIKE  a guess from names and sizes; nothing of it is used by itself"]
+        for g in content["looks_like"]:
+            scale = f" {g['unit']}" if g["unit"] else f" {g['limits'][0]:g} to {g['limits'][1]:g}" if g["limits"] else ""
+            lines.append(f"  {g['group']}: {', '.join(g['fields'])}{scale and ','}{scale}  ({g['why']})")
+    guessed = {g["group"] for g in content["looks_like"]}
     if content["missing"] and not content["problem"]:
         lines += ["", "MISSING"]
         for m in content["missing"]:
+            if m["group"] in guessed:
+                lines.append(f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; {m['purpose']}")
+                continue
             lines.append(f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}")
             if m["advice"]:
                 lines.append(f"    to log it: {m['advice']}")
@@ -158,4 +234,6 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             lines += ["  [[rotor]]", f"  position = [{x:.4g}, {y:.4g}, {z:.4g}]", f"  spin = {r['spin']}"]
     if content["notes"]:
         lines += ["", "NOTES", *(f"  {n}" for n in content["notes"])]
+    if content["next"]:
+        lines += ["", "NEXT", *(f"  {n}" for n in content["next"])]
     return "\n".join(lines)

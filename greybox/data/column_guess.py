@@ -1,0 +1,153 @@
+"""What columns with names of their own look like: a draft of a mapping file, from names and sizes of the numbers.
+
+A guess is never used by itself: it is shown, written where a user asks for it, and looked over. Axes, the order of the
+rotors and a rate in deg/s that never exceeds a calm 25 are what such a look must settle; `greybox check` tries the rest.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data.raw import FloatArray
+from greybox.data.readers.mapping import SCHEMA, TIME_UNITS
+
+_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
+_WORDS = {
+    "specific_force": r"acc\w*|a|specificforce|linearacceleration",
+    "rate": r"gyr\w*|angvel|angularvelocity|bodyrates?|rates?|w",
+    "velocity": r"v|vel|velocity|linvel|linearvelocity",
+    "position": r"p|pos|position",
+    "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|desired",
+}
+_NUMBERED = {
+    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
+    "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
+}
+_LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
+_TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guess:
+    """A group, the columns that look like it in the order of its channels, its unit ("": SI), and why."""
+
+    group: str
+    fields: tuple[str, ...]
+    unit: str = ""
+    limits: tuple[float, float] | None = None
+    why: str = ""
+
+
+def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()) -> tuple[Guess, ...]:
+    """Groups that columns (name -> (N,) numbers) look like, one guess a group; groups of `without` are left out."""
+    found: dict[str, list[tuple[str, ...]]] = {}
+    for stem, members in _families(columns, _AXES).items():
+        if set(members) == {0, 1, 2}:
+            for group, words in _WORDS.items():
+                if _says(stem, words):
+                    found.setdefault(group, []).append(tuple(members[i] for i in range(3)))
+                    break
+    for stem, members in _families(columns, {str(i): i for i in range(13)}).items():
+        first = min(members)
+        if first in (0, 1) and set(members) == set(range(first, first + len(members))) and 3 <= len(members) <= 8:
+            for group, words in _NUMBERED.items():
+                if _says(stem, words):
+                    found.setdefault(group, []).append(tuple(members[i] for i in sorted(members)))
+                    break
+    for members in _families(columns, {"w": 0, "x": 1, "y": 2, "z": 3}).values():
+        if len(members) == 4:
+            found.setdefault("attitude", []).append(tuple(members[i] for i in range(4)))
+    for members in _families(columns, {"roll": 0, "pitch": 1, "yaw": 2}).values():
+        if len(members) == 3:
+            found.setdefault("attitude", []).append(tuple(members[i] for i in range(3)))
+    for name in columns:
+        if re.search(r"v_?bat|volt|battery", name.lower()):
+            found.setdefault("battery", []).append((name,))
+    left_out = set(without)
+    return tuple(
+        _sized(group, min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))), columns)
+        for group in (*_NUMBERED, "battery", "attitude", *_WORDS)
+        if group in found and group not in left_out
+    )
+
+
+def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
+    """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of 20 Hz to 4 kHz."""
+    for name, values in columns.items():
+        step = np.diff(values[np.isfinite(values)])
+        if not _TIME.fullmatch(name.lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
+            continue
+        middle = float(np.median(step[step > 0]))
+        for unit, seconds in TIME_UNITS.items():
+            if 2.5e-4 <= middle * seconds <= 5e-2:
+                return name, unit
+    return None
+
+
+def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
+    """A mapping file (docs/logs.md) that says what was guessed, to be looked over."""
+    lines = [
+        f'schema = "{SCHEMA}"',
+        "# A guess from names and sizes: look over axes, units and the order of the rotors.",
+    ]
+    if time is not None:
+        lines += ["[time]", f"field = {json.dumps(time[0])}", f'unit = "{time[1]}"']
+    for g in guesses:
+        lines += [f"[{g.group}]", f"fields = [{', '.join(json.dumps(f) for f in g.fields)}]"]
+        lines += [f'unit = "{g.unit}"'] if g.unit else []
+        lines += [f"limits = [{g.limits[0]:g}, {g.limits[1]:g}]"] if g.limits else []
+        lines[-1] += f"  # {g.why}" if g.why else ""
+    return "\n".join(lines) + "\n"
+
+
+def _families(columns: Iterable[str], ends: Mapping[str, int]) -> dict[str, dict[int, str]]:
+    """stem -> {place: column} of columns whose names differ in their end only: gyro.x, gyroADC[0], motor_m1, qw."""
+    out: dict[str, dict[int, str]] = {}
+    for name in columns:
+        match = re.fullmatch(rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*", name, re.IGNORECASE)
+        if match is not None:
+            out.setdefault(match[1].lower(), {}).setdefault(ends[match[2].lower()], name)
+    return out
+
+
+def _says(stem: str, words: str) -> bool:
+    """Whether the last word of a stem, or all of it, is one of these."""
+    last = re.split(r"[\W_]+", stem)[-1]
+    return bool(re.fullmatch(words, last) or re.fullmatch(words, re.sub(r"[\W_]+", "", stem)))
+
+
+def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]) -> Guess:
+    """The guess with the unit that its numbers have."""
+    values = np.column_stack([columns[n] for n in names])
+    values = values[np.isfinite(values).all(axis=1)]
+    if not values.size:
+        return Guess(group=group, fields=names, why="no numbers to tell the unit by")
+    low, high = float(values.min()), float(values.max())
+    size = max(-low, high)
+    unit, limits, why = "", None, f"values from {low:.3g} to {high:.3g}"
+    if group == "rate":
+        unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
+    elif group == "specific_force":
+        norm = float(np.median(np.linalg.norm(values, axis=1)))
+        unit = next((u for u, g in (("m/s^2", 9.81), ("g", 1.0), ("mg", 1000.0)) if 0.7 < norm / g < 1.4), "")
+        why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
+    elif group == "command":
+        ranges = ((0.0, 1.0), (0.0, 100.0), (0.0, 255.0), (1000.0, 2000.0), (0.0, 2047.0), (0.0, 65535.0))
+        limits = next((r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None)
+        limits = None if limits == (0.0, 1.0) else limits
+    elif group == "rotor_speed":
+        unit = "rpm" if size > 4000 else "rad/s"
+    elif group == "battery":
+        unit = "mV" if float(np.median(values)) > 200 else "V"
+    elif group == "attitude" and len(names) == 3:
+        unit = "deg" if size > 6.3 else "rad"
+    elif group in ("position", "setpoint"):
+        unit = "mm" if size > 1000 else "m"
+    elif group == "velocity":
+        unit = "mm/s" if size > 100 else "m/s"
+    return Guess(group=group, fields=names, unit=unit, limits=limits, why=why)

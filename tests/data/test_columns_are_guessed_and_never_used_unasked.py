@@ -1,0 +1,80 @@
+"""Odd columns: the guess has the groups, order and units that the vehicle files of the shipped flights state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greybox.cli import main
+from greybox.data.column_guess import guess_columns, guess_time, mapping_text
+from greybox.data.inspection import inspect_log
+from greybox.data.logs import read_log
+from greybox.model.vehicle import read_vehicle
+from scenarios.flights import flight_path, vehicle_path
+
+
+@pytest.mark.parametrize(("kind", "name"), [("arpl_crazyflie", "log16"), ("nanobench", "B2_circle_slow_rep1")])
+def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_path: Path) -> None:
+    log, vehicle = flight_path(kind, name), read_vehicle(vehicle_path(kind))
+    columns = inspect_log(log).recording.streams["table"].fields
+    (tmp_path / "map.toml").write_text(mapping_text(guess_columns(columns), guess_time(columns)))
+    drafted, stated = read_log(log, mapping=tmp_path / "map.toml"), read_log(log, vehicle)
+    compared = 0
+    for channel in ("u1", "u4", "p", "q", "r", "ax", "az", "vbat", "qw", "qz", "x", "vz"):
+        if channel in stated.channels:
+            a, b = (np.concatenate([s.channels[channel] for s in f.segments]) for f in (drafted, stated))
+            tolerance = 5e-3 if channel.startswith("a") else 1e-4  # g is 9.81 in one, 9.80665 in the other
+            np.testing.assert_allclose(a[:500], b[:500], rtol=tolerance, atol=tolerance)
+            compared += 1
+    assert compared >= 7
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "expected"),
+    [
+        (["gx", "gy", "gz"], [[300, -200, 50]], None),
+        (["gyroADC[0]", "gyroADC[1]", "gyroADC[2]"], [[300, -200, 50]], ("rate", "deg/s", None)),
+        (["imu.gyr_x", "imu.gyr_y", "imu.gyr_z"], [[3, -2, 0.5]], ("rate", "rad/s", None)),
+        (["AccX", "AccY", "AccZ"], [[10, 20, 995]], ("specific_force", "mg", None)),
+        (["accSmooth[0]", "accSmooth[1]", "accSmooth[2]"], [[10, 20, 2048]], ("specific_force", "", None)),
+        (["pwm1", "pwm2", "pwm3", "pwm4"], [[1200, 1000, 1900, 1500]], ("command", "", (1000, 2000))),
+        (["esc_0", "esc_1", "esc_2", "esc_3"], [[0.2, 0.4, 0.9, 0.5]], ("command", "", None)),
+        (["rpm1", "rpm2", "rpm3", "rpm4"], [[9000, 9100, 8900, 12000]], ("rotor_speed", "rpm", None)),
+        (["att.roll", "att.pitch", "att.yaw"], [[10, -20, 170]], ("attitude", "deg", None)),
+        (["VBAT"], [[15800]], ("battery", "mV", None)),
+        (["temp1", "temp2", "temp3"], [[20, 21, 22]], None),
+    ],
+)
+def test_names_and_sizes(names: list[str], values: list[list[float]], expected: tuple[str, str, object] | None) -> None:
+    rows = np.repeat(np.asarray(values, dtype=float), 50, axis=0)
+    found = guess_columns({n: rows[:, j] for j, n in enumerate(names)})
+    assert [(g.group, g.unit, g.limits) for g in found] == ([] if expected is None else [expected])
+    assert all(g.fields == tuple(names) for g in found)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.002, "s"), (4.0, "ms"), (1000.0, "us"), (2e6, "ns")])
+def test_the_clock_is_told_by_its_steps(step: float, unit: str) -> None:
+    columns = {"loop": np.arange(50.0), "time": step * np.arange(50.0), "t2": np.zeros(50)}
+    assert guess_time(columns) == ("time", unit)
+
+
+def test_a_stranger_is_told_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv.gz").write_bytes(flight_path("arpl_crazyflie", "log16").read_bytes())
+    assert main(["inspect", "log.csv.gz"]) == 1
+    said = capsys.readouterr().out
+    assert "nothing under these names" in said
+    assert "inspect log.csv.gz --draft map.toml" in said
+    assert "vehicle new --template" in said
+    assert main(["inspect", "log.csv.gz", "--draft", "map.toml"]) == 1
+    assert main(["inspect", "log.csv.gz", "--mapping", "map.toml"]) == 0
+    assert "greybox check --mapping map.toml --vehicle V.toml log.csv.gz" in capsys.readouterr().out
+    Path("mine.toml").write_text(vehicle_path("arpl_crazyflie").read_text())
+    main(["inspect", "log.csv.gz"])
+    assert "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml" in capsys.readouterr().out
+    assert main(["inspect", "log.csv.gz", "--vehicle", "mine.toml"]) == 0
+    assert "greybox fit --vehicle mine.toml --train log.csv.gz" in capsys.readouterr().out
