@@ -44,6 +44,8 @@ GRAVITY = 9.80665
 """Weighs the steady tilt against the acceleration of the path [m/s^2]."""
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
+EARLY = 0.25
+"""A call counts for another sample when it comes no more than this share of one too early for it."""
 FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
 NEAR = {"position": 0.3, "velocity": 1.0}
@@ -163,7 +165,7 @@ class TubeController:
         self.gate.start()
         self._watch = Watch()
         self._told: float | None = None
-        self._ahead, self._phase = 0.0, 0.0
+        self._ahead = self._phase = 0.0
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
@@ -200,7 +202,8 @@ class TubeController:
     def sample(self, time: float, measured: Mapping[str, float]) -> FloatArray:
         """The command that is in force from the next sample on, (n_u,), given the measurements at `time` by column."""
         passed = self._passed(time)
-        time -= self._ahead
+        assert self._told is not None
+        time = self._told - self._ahead
         nothing: dict[str, float] = {}
         for k in range(passed - 1, 0, -1):
             self._see(time - k * self.model.sample_time, nothing, called=False)
@@ -221,17 +224,22 @@ class TubeController:
     def _passed(self, time: float) -> int:
         """Samples since the call before: 1, more where calls did not come. A clock that jumps is put right."""
         step = self.model.sample_time
-        before, self._told = self._told, time
-        if before is None:
+        if self._told is None:
+            self._told = time - step if math.isfinite(time) else 0.0
+        gone = time - self._told
+        if not -1e-9 <= gone <= LATE:
+            if math.isfinite(gone):
+                self._ahead += gone - step
+                self._told = time
+            else:
+                self._told += step
+            self._phase = 0.0
+            self._note(self._told - self._ahead, "the clock jumps")
             return 1
-        if not -1e-9 <= time - before <= LATE:
-            self._note(time - self._ahead, "the clock jumps")
-            # a clock that says no number says nothing about the next call either
-            self._ahead, self._phase = (self._ahead + time - before - step, 0.0) if math.isfinite(time) else (0.0, 0.0)
-            return 1
+        self._told = time
         # early and late calls even out: what is left of a sample counts at the next call
-        self._phase += (time - before) / step
-        passed = max(1, round(self._phase))
+        self._phase += gone / step
+        passed = max(1, int(self._phase + EARLY))
         self._phase = min(max(self._phase - passed, -1.0), 1.0)
         if passed > 1:
             self._note(time - self._ahead, "calls did not come")
@@ -297,8 +305,7 @@ class TubeController:
     def _decide(self, begin: float) -> FloatArray:
         problem, data, n = self.problem, self.solver.data, self.problem.horizon
         times: FloatArray = np.asarray(begin + problem.dt * np.arange(n + 1), dtype=float)
-        self._judge(begin, times)
-        path = (self.descent or self.reference).sample(times)
+        path = self._path(begin, times)
         self._aim(path)
         data["x0"][:] = self._state()
         data["u_before"][:] = self.u
@@ -327,27 +334,26 @@ class TubeController:
         self.plan = Plan(time=begin, outcome=outcome, x=data["x"].copy(), u=data["u"].copy())
         return np.asarray(data["u"][0].copy())
 
-    def _judge(self, begin: float, times: FloatArray) -> None:
-        """Whether to come down from here."""
-        if self.descent is not None:
-            return
-        place = self.estimate[self._rows("position")]
-        path = self.reference.sample(times[:1])
-        away = float(np.linalg.norm(place - path.position[0]))
-        why = self._watch(
-            self.problem.dt,
-            {
+    def _path(self, begin: float, times: FloatArray) -> Any:
+        """The reference, or a descent, which is declared here."""
+        if self.descent is None:
+            path = self.reference.sample(times)
+            place = self.estimate[self._rows("position")]
+            away = float(np.linalg.norm(place - path.position[0]))
+            reasons = {
                 "no steady command within the limits": (bool(self._weak.any()), HELD),
                 "position or attitude not measured": (not all(self._seen), BLIND),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
-            },
-        )
-        if why is not None:
+            }
+            why = self._watch(self.problem.dt, reasons)
+            if why is None:
+                return path
             weak = ", ".join(n for n, w in zip(self.functions.inputs.names, self._weak, strict=True) if w)
             self._note(begin, f"descent declared: {why}{f' ({weak})' if weak else ''}")
-            yaw = float(numeric("euler", self.estimate[self._rows("attitude")])[0][2])
-            velocity = self.estimate[self._rows("velocity")]
-            self.descent = Descent(time=begin, position=place.copy(), velocity=velocity.copy(), yaw=yaw)
+            velocity, attitude = (self.estimate[self._rows(n)].copy() for n in ("velocity", "attitude"))
+            yaw = float(numeric("euler", attitude)[0][2])
+            self.descent = Descent(time=begin, position=place.copy(), velocity=velocity, yaw=yaw)
+        return self.descent.sample(times)
 
     def _give_up_yaw(self) -> None:
         """The heading that the plan has anyway becomes its reference, and so does its rate at the end."""

@@ -4,9 +4,9 @@ The size of a sensor's innovation e of covariance S is s = sqrt(e' S^-1 e) / (RE
 squared of Bar-Shalom, Li and Kirubarajan 2001, section 5.4). Up to 1 it counts in full, up to PARTLY as much as one of
 size 1 would, beyond not at all (a redescending influence: Hampel 1974, J. American Statistical Association 69(346)). What
 persists is not a spike but the vehicle - a rotor breaks, a mocap frame is corrected - so w grows by one with every sample
-that does not count in full. It goes back by RELAX a sample, no lower than what was believed last asks for, so that the
-filter of an upset vehicle is not starved. After a gap the next value may be GAP doublings farther off for every sample
-without one.
+that does not count in full. It goes back at once where the next is as before (a spike), else by RELAX a sample, no lower
+than what was believed last asks for, so that the filter of an upset vehicle is not starved. After a gap the next value
+may be GAP doublings farther off for every sample without one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PARTLY = 6.0
 """Size beyond which a value is wrong, whatever the vehicle does."""
 WIDEST = 40.0
 """Doublings after which everything finite is believed."""
-RELAX, GAP, LONG = 0.1, 0.5, 12
+RELAX, GAP, LONG = 0.02, 0.5, 12
 """Doublings taken back by a sample that is believed; added by one that is missing, so many of them at most."""
 UNIT = (0.7, 1.4)
 """A measured quaternion's length must lie between these."""
@@ -47,6 +47,7 @@ class Gate:
     def start(self) -> None:
         """All sensors are believed as they were at first."""
         self.wide = np.zeros(len(self.sensors))
+        self.calm = np.zeros(len(self.sensors))
         self.missed = np.zeros(len(self.sensors))
 
     def __call__(self, innovation: FloatArray, there: FloatArray) -> FloatArray:
@@ -62,7 +63,9 @@ class Gate:
             room = 2.0 ** (self.wide[k] + GAP * self.missed[k])
             self.missed[k] = 0.0
             if size <= room:
-                self.wide[k] = max(self.wide[k] - RELAX, math.log2(max(size, 1.0)))
+                if size <= 2.0 ** self.calm[k]:
+                    self.wide[k] = self.calm[k]
+                self.calm[k] = self.wide[k] = max(self.wide[k] - RELAX, math.log2(max(size, 1.0)))
             else:
                 share[k] = room / size if size <= PARTLY * room else 0.0
                 self.wide[k] = min(self.wide[k] + 1.0, WIDEST)

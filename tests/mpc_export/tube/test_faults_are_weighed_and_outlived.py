@@ -1,0 +1,193 @@
+"""Spikes do not reach the estimate and what persists does; clocks, gaps and garbage are outlived; a descent is one."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mpc_export.tube.controller import TubeController
+from mpc_export.tube.descent import BRAKE, SPEED, Descent, Watch
+from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
+from mpc_export.tube.problem import TubeProblem
+from tests.mpc_export import cases
+from tests.mpc_export.tube.test_controller_flies_and_survives import Hover, fly
+
+PLACE = ("x", "y", "z")
+
+
+def gate():
+    """A place, known to 4 mm, and one rate, known to 0.02 rad/s."""
+    return Gate([PLACE, PLACE, PLACE, ("p",)], np.diag([0.004, 0.004, 0.004, 0.02]) ** 2)
+
+
+def seen(weigh, place, rate=0.0, there=(1, 1, 1, 1)):
+    return weigh(np.array([place, 0.0, 0.0, rate]), np.array(there, dtype=float)).tolist()
+
+
+def test_a_spike_is_not_believed_and_the_next_sample_is():
+    weigh = gate()
+    assert seen(weigh, 0.01) == [1.0, 1.0]
+    for spike in (0.5, -7.0, 1e6, 1e300):
+        assert seen(weigh, spike) == [0.0, 1.0]
+        assert seen(weigh, 0.01) == [1.0, 1.0]
+
+
+def test_what_persists_is_believed_after_a_few_samples():
+    weigh = gate()
+    shares = [seen(weigh, 0.5)[0] for _ in range(8)]
+    first = shares.index(1.0)
+    assert 2 <= first <= 6
+    assert shares[first:] == [1.0] * (8 - first)
+    assert shares[:2] == [0.0, 0.0]
+
+
+def test_a_jerk_that_a_vehicle_can_do_counts_in_part_and_then_in_full():
+    weigh = gate()
+    size = 3.0 * REACH * 0.02
+    assert seen(weigh, 0.0, size)[1] == pytest.approx(1.0 / 3.0)
+    assert size < PARTLY * REACH * 0.02
+    assert [seen(weigh, 0.0, size)[1] for _ in range(3)] == [pytest.approx(2.0 / 3.0), 1.0, 1.0]
+    # and one that swings goes on to count, nearly in full at its worst
+    assert min(seen(weigh, 0.0, size * math.cos(0.5 * k))[1] for k in range(100)) > 0.8
+
+
+def test_after_a_gap_more_is_possible():
+    long, short = gate(), gate()
+    for _ in range(10):
+        assert seen(long, 9.9, there=(0, 0, 0, 1)) == [1.0, 1.0]
+    assert seen(long, 0.3)[0] == 1.0
+    assert seen(short, 0.3)[0] == 0.0
+
+
+def test_infinite_numbers_and_quaternions_without_length_are_missing():
+    columns = ("x", "qw", "qx", "qy", "qz", "p")
+    found = plausible(columns, np.array([np.inf, 1.0, 0.0, 0.0, 0.0, 2.0]))
+    np.testing.assert_array_equal(found, [np.nan, 1.0, 0.0, 0.0, 0.0, 2.0])
+    for wrong in ([0.0] * 4, [1e200] * 4, [np.nan, 0.0, 0.0, 0.0]):
+        found = plausible(columns, np.array([1.0, *wrong, 2.0]))
+        np.testing.assert_array_equal(found, [1.0, np.nan, np.nan, np.nan, np.nan, 2.0])
+
+
+def test_a_descent_begins_as_the_vehicle_moves_and_ends_straight_down():
+    way = Descent(time=2.0, position=np.array([1.0, 2.0, 1.5]), velocity=np.array([3.0, -1.0, 0.5]), yaw=0.4)
+    times = np.arange(2.0, 6.0, 1e-3)
+    path = way.sample(times)
+    np.testing.assert_allclose(path.position[0], [1.0, 2.0, 1.5])
+    np.testing.assert_allclose(path.velocity[0], [3.0, -1.0, 0.5])
+    np.testing.assert_allclose(path.velocity[-1], [0.0, 0.0, -SPEED], atol=1e-12)
+    np.testing.assert_allclose(np.diff(path.position, axis=0) / 1e-3, path.velocity[:-1], atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(path.acceleration[0]), BRAKE)
+    assert path.yaw.tolist() == [0.4] * len(times)
+
+
+def test_a_reason_counts_when_it_holds_more_often_than_not():
+    watch = Watch()
+    assert not any(watch(0.1, {"why": (k % 2 == 0, 0.3)}) for k in range(20))
+    found = [watch(0.1, {"why": (k % 3 != 0, 0.3)}) for k in range(20)]
+    assert found[0] is None
+    assert "why" in found
+
+
+# ------------------------------------------------------------------------------------------------ in flight
+
+
+@pytest.fixture(scope="module")
+def controller():
+    return TubeController(
+        model=cases.disturbed(), problem=TubeProblem(dt=0.02, horizon=8, planes=2, rate_max=0.05), reference=Hover(),
+        kappa=(2.0, 2.0, 2.0), kappa_u=1.0,
+    )  # fmt: skip
+
+
+def kinds(controller):
+    return {e.what for e in controller.events}
+
+
+def test_spikes_in_the_position_do_not_move_the_vehicle(controller):
+    rng = np.random.default_rng(1)
+    path, commands = fly(
+        controller, 300, seen=lambda k, y: y | {"x": y["x"] + 0.5} if k > 50 and rng.random() < 0.05 else y
+    )
+    assert kinds(controller) == {"not believed: x, y, z"}
+    np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (300, 1)), atol=1e-3)
+    assert np.isfinite(commands).all()
+
+
+def test_garbage_never_raises_and_never_leaves_the_limits(controller):
+    rng = np.random.default_rng(2)
+    wild = (np.nan, np.inf, -np.inf, 0.0, 1e3, -1e9, 1e308)
+
+    def seen(k, y):
+        if k < 50 or k >= 150:
+            return y
+        return {c: wild[rng.integers(len(wild))] if rng.random() < 0.3 else v for c, v in y.items()}
+
+    path, commands = fly(controller, 200, seen=seen)
+    assert np.isfinite(path).all()
+    assert np.isfinite(commands).all()
+    assert commands.min() >= controller.problem.command_min
+    assert commands.max() <= controller.problem.command_max
+    assert np.abs(np.diff(commands, axis=0)).max() <= controller.problem.rate_max + 1e-6
+    assert controller.events
+
+
+def told(controller, steps, clock, called=lambda k: True):
+    """Hover with a clock of its own; where the controller is not called the command is held."""
+    f = controller.filter
+    controller.start()
+    x, u, path = controller.estimate.copy(), controller.u.copy(), []
+    for k in range(steps):
+        y = f["h"](x, u, f.parameter_values).full().ravel()
+        measured = dict(zip(f.outputs.names, y.tolist()))
+        new = np.array(controller.sample(clock(k), measured)) if called(k) else u
+        x = f["f_d"](x, u, f.parameter_values).full().ravel()
+        path.append(x[:3])
+        assert np.isfinite(new).all()
+        u = new
+    return np.array(path)
+
+
+@pytest.mark.parametrize("jump", [1e3, -1.0, math.nan])
+def test_a_clock_that_jumps_is_not_followed(controller, jump):
+    path = told(controller, 120, lambda k: 0.01 * k + (jump if k >= 60 else 0.0))
+    np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (120, 1)), atol=1e-6)
+    assert "the clock jumps" in kinds(controller)
+    # time goes on by samples: the last plan begins where it would without the jump
+    assert math.isnan(jump) or controller.plan.time == pytest.approx(1.20, abs=0.011)
+
+
+def test_a_jittering_clock_is_no_event_and_calls_that_do_not_come_are(controller):
+    rng = np.random.default_rng(3)
+    jitter = rng.uniform(-0.003, 0.003, 200)
+    told(controller, 200, lambda k: 0.01 * k + jitter[k])
+    assert not controller.events
+    assert controller.count == 200
+    told(controller, 200, lambda k: 0.01 * k, called=lambda k: not 60 <= k < 70)
+    assert kinds(controller) == {"calls did not come"}
+    assert controller.count == 200
+    assert controller.plan.time == pytest.approx(2.0, abs=0.011)
+
+
+def test_a_solver_that_stays_away_and_returns(controller):
+    def seen(k, y):
+        controller.solver.data["penalty"][()] = np.nan if 100 <= k < 200 else controller.problem.penalty
+        return y
+
+    path, commands = fly(controller, 400, force=0.02, seen=seen)
+    assert len(controller.events) == 50  # four times as long as a plan
+    assert np.abs(path[100:] - [0, 0, 1]).max() < 0.05
+    assert np.abs(path[-1] - [0, 0, 1]).max() < 5e-3
+    assert controller.plan.time == pytest.approx(4.0, abs=0.021)
+    assert np.isfinite(commands).all()
+
+
+def test_without_a_position_it_comes_down_and_says_so(controller):
+    lost = dict.fromkeys(PLACE, math.nan)
+    path, _ = fly(controller, 300, seen=lambda k, y: y | lost if k >= 50 else y)
+    assert [e.what for e in controller.events] == ["descent declared: position or attitude not measured"]
+    assert 1.0 <= controller.events[0].time <= 1.05
+    fall = np.diff(path[200:, 2]) / 0.01
+    np.testing.assert_allclose(fall, -SPEED, atol=0.05)
+    assert np.abs(path[:, :2]).max() < 0.02
+    controller.start()
+    assert not controller.descending
