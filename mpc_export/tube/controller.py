@@ -113,6 +113,7 @@ class TubeController:
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
         self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
@@ -189,8 +190,11 @@ class TubeController:
             state[i] = self.past[int(lag) - 1][self.functions.inputs[command]]
         return state
 
-    def _rows(self, name: str) -> list[int]:
-        return block(self.functions, name)
+    def _rows(self, name: str, error: bool = False) -> list[int]:
+        """Rows of a block of the state, or of the error state; looked up once."""
+        if (name, error) not in self._blocks:
+            self._blocks[name, error] = block(self.functions, name, error=error)
+        return self._blocks[name, error]
 
     # ------------------------------------------------------------------------------------------------ every sample
 
@@ -436,7 +440,7 @@ class TubeController:
         problem = self.problem
         away = self.functions["boxminus"](state, x).full().ravel()
         for name, most in NEAR.items():
-            rows = block(self.functions, name, error=True)
+            rows = self._rows(name, error=True)
             away[rows] *= min(1.0, most / max(float(np.linalg.norm(away[rows])), 1e-9))
         limited = np.clip(u + self.solver.stages.gain @ away, before - problem.rate_max, before + problem.rate_max)
         return np.asarray(np.clip(limited, problem.command_min, problem.command_max))

@@ -178,7 +178,7 @@ def fly(pilot: TubeController, task: Mission, fault: Fault, seed: int) -> dict[s
             break
         time, on = dt * k, dt * k >= begin
         seen: Seen | None = plant.measure(u)
-        after = round((time - begin) / dt)
+        after = int((time - begin) / dt + 1e-9)
         if on and fault.seen is not None and seen is not None:
             seen = fault.seen(seen, after, rng)
         calls += on and not (k + 1) % pilot.every
