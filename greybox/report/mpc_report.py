@@ -45,6 +45,7 @@ def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) 
     _unsure(report, content, traces)
     _limits(report, content, traces)
     _times(report, content, rows)
+    _events(report, content)
     _next(report, content)
     _reproduce(report, content)
     return report.html()
@@ -349,17 +350,35 @@ def _times(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> N
     for n in names:
         c = content["controllers"][n]
         t = c["solve_ms"]
-        events = ", ".join(f"{k} ({v})" for k, v in c["events"].items()) or None
         body.append(
             [n, t["count"], f"{t['median']:.1f}", f"{t['p99']:.1f}", f"{t['worst']:.1f}",
-             f"{c['late']['count']} of {c['late']['samples']}", events]
+             f"{c['late']['count']} of {c['late']['samples']}"]
         )  # fmt: skip
     jobs = content["jobs"]
     report.table(
-        ["controller", "plans", "median [ms]", "99 % below [ms]", "worst [ms]", "late answers", "events"],
+        ["controller", "plans", "median [ms]", "99 % below [ms]", "worst [ms]", "late answers"],
         body, numeric=(1, 2, 3, 4, 5),
         caption="Late answers: samples whose command took longer than a sample, filter, transfer and Python included."
         + (f" {jobs} flights ran at a time, which spoils these times a little." if jobs > 1 else ""),
+    )  # fmt: skip
+
+
+def _events(report: Report, content: Mapping[str, Any]) -> None:
+    """What was not as usual, and what was done; nothing where nothing happened."""
+    found = content["controllers"]
+    body = [
+        [n, what, count, f"{found[n].get('descended', 0)} of {found[n]['flights']}"]
+        for n in _names(content)
+        for what, count in sorted(found[n]["events"].items(), key=lambda item: -item[1])
+    ]
+    if not body:
+        return
+    report.section("What went wrong, and what the controller did")
+    report.table(
+        ["controller", "event", "times", "flights with a declared descent"], body, numeric=(2, 3),
+        caption="No solution: the plan before goes on with the ancillary gain. Not believed, doubted: a measurement that "
+        "the filter leaves out, or lets count in part. No measurement, calls did not come: the filter predicts. Descent "
+        "declared: the path is given up, straight down at half a metre a second.",
     )  # fmt: skip
 
 

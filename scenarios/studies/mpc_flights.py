@@ -12,6 +12,7 @@ import math
 import os
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -256,8 +257,9 @@ def fly(
 
     near: also count the limits that plans touch, closer than this [m]. Keys: seed, crashed, margins (least distance to
     every plane [m], None: never beside it), tilt [rad], rmse [m], cost (per second, CRASH for a crash), late (samples
-    whose answer took longer than a sample), solve_ms (every solution), events (time and what), nearest (least distance to
-    any plane per cell [m]), crossings (plane, time and depth where it was deepest).
+    whose answer took longer than a sample), solve_ms (every solution), events (time and what of the first twenty),
+    event_kinds (how many of each), descended (whether the path was given up), nearest (least distance to any plane per
+    cell [m]), crossings (plane, time and depth where it was deepest).
     """
     course, dt = task.course, task.dt
     plant.reset(seed, position=course.start[:3])
@@ -301,6 +303,8 @@ def fly(
         "late": int(np.sum(np.array(spent) > dt)), "samples": len(path), "seconds": float(times[len(path) - 1]),
         "solve_ms": np.round(solve, 2).tolist(),
         "events": [{"time": e.time, "what": e.what} for e in pilot.events[:20]], "event_count": len(pilot.events),
+        "event_kinds": dict(Counter(e.what for e in pilot.events)),
+        "descended": bool(getattr(pilot, "descending", False)),
         "nearest": _cells(times[: len(path)], nearest), "crossings": _crossings(times, path, away),
     }  # fmt: skip
     if near is not None:

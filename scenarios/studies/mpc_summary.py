@@ -70,8 +70,8 @@ def _controller(entry: Entry, rows: Sequence[Row], task: Mission, level: float) 
     planes = [p.name for p in task.course.planes]
     events: dict[str, int] = {}
     for r in rows:
-        for e in r["events"]:
-            events[e["what"]] = events.get(e["what"], 0) + 1
+        for what, count in r["event_kinds"].items() if "event_kinds" in r else ((e["what"], 1) for e in r["events"]):
+            events[what] = events.get(what, 0) + count
     return {
         "text": entry.text, "kind": entry.kind, "kappa": entry.kappa, "moved": entry.moved, "flights": n,
         "crossed": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
@@ -88,6 +88,7 @@ def _controller(entry: Entry, rows: Sequence[Row], task: Mission, level: float) 
         },
         "late": {"count": sum(r["late"] for r in rows), "samples": samples},
         "events": events, "event_count": sum(r["event_count"] for r in rows),
+        "descended": sum(bool(r.get("descended")) for r in rows),
     }  # fmt: skip
 
 
@@ -186,6 +187,11 @@ def advice(content: dict[str, Any]) -> list[str]:
             )
         else:
             out.append(f"The tube costs {100 * size / tube['cost']:.0f} % less than one constant back-off.")
+    if tube["descended"]:
+        out.append(
+            f"The tube gave the path up and came down in {tube['descended']} of {n} flights; the events of these say why: "
+            "no steady command within the limits, no measured pose, or too far from the path."
+        )
     late = tube["late"]
     if late["samples"] and late["count"] > 0.001 * late["samples"]:
         out.append(

@@ -74,6 +74,19 @@ def test_a_crash_counts_as_beyond_a_limit_and_costs_are_paired_by_seed():
     assert found["controllers"]["tube"]["margins"]["ceiling"] is None
 
 
+def test_what_went_wrong_is_counted_in_full_and_told():
+    said = {"no measurement": 30, "descent declared: position or attitude not measured": 1}
+    rows = [row("tube", s) | {"event_kinds": said, "descended": True} for s in range(2)] + [row("tube", 2)]
+    found = content(rows)
+    assert found["controllers"]["tube"]["events"]["no measurement"] == 61
+    assert found["controllers"]["tube"]["descended"] == 2
+    assert any("came down in 2 of 3 flights" in text for text in found["next"])
+    page = mpc_report(found, rows, {})
+    assert "descent declared: position or attitude not measured" in page
+    calm = [row("tube", 0) | {"events": [], "event_kinds": {}}]
+    assert "What went wrong" not in mpc_report(content(calm), calm, {})
+
+
 def test_result_follows_its_schema_with_and_without_flights():
     schema = json.loads((resources.files("greybox.schemas") / "mpc.json").read_text())
     for rows in ([], [row("tube", 1), row("hybrid", 1, depth=0.01)]):
