@@ -26,6 +26,8 @@ WIDEST = 40.0
 """Doublings after which everything finite is believed."""
 RELAX, GAP, LONG = 0.02, 0.5, 12
 """Doublings taken back by a sample that is believed; added by one that is missing, so many of them at most."""
+FAR = 1e100
+"""Innovations are squared; none counts for more than this."""
 UNIT = (0.7, 1.4)
 """A measured quaternion's length must lie between these."""
 
@@ -41,7 +43,11 @@ class Gate:
         for i, names in enumerate(columns):
             rows.setdefault(tuple(names), []).append(i)
         self.sensors = [(", ".join(names), np.array(at)) for names, at in rows.items()]
-        self._inverse = [np.linalg.inv(covariance[np.ix_(at, at)]) for _, at in self.sensors]
+        self._inverse = np.zeros_like(covariance)
+        self._member = np.zeros((len(self.sensors), len(columns)))
+        for k, (_, at) in enumerate(self.sensors):
+            self._inverse[np.ix_(at, at)] = np.linalg.inv(covariance[np.ix_(at, at)])
+            self._member[k, at] = 1.0
         self.start()
 
     def start(self) -> None:
@@ -53,14 +59,16 @@ class Gate:
     def __call__(self, innovation: FloatArray, there: FloatArray) -> FloatArray:
         """Share in [0, 1] of every sensor's innovation (n_e,) that is believed; 1 where nothing is `there` (n_e,)."""
         share = np.ones(len(self.sensors))
-        for k, ((_, at), inverse) in enumerate(zip(self.sensors, self._inverse, strict=True)):
+        # what overflows when squared is too far off as well
+        e = np.clip(innovation, -FAR, FAR)
+        sizes = np.sqrt(np.maximum(self._member @ (e * (self._inverse @ e)), 0.0)) / REACH
+        if there.all() and not self.missed.any() and not self.wide.any() and sizes.max() <= 1.0:
+            return share
+        for k, (_, at) in enumerate(self.sensors):
             if not there[at].all():
                 self.missed[k] = min(self.missed[k] + 1.0, LONG)
                 continue
-            e = innovation[at]
-            # what overflows when squared is too far off as well
-            size = math.sqrt(max(float(e @ inverse @ e), 0.0)) / REACH if np.abs(e).max() < 1e100 else math.inf
-            room = 2.0 ** (self.wide[k] + GAP * self.missed[k])
+            size, room = float(sizes[k]), 2.0 ** (self.wide[k] + GAP * self.missed[k])
             self.missed[k] = 0.0
             if size <= room:
                 if size <= 2.0 ** self.calm[k]:
