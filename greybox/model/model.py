@@ -399,6 +399,9 @@ class PhysicsModel:
         spin = [r.spin for r in vehicle.rotors]
         thrust = _polynomial(nu, [values.get(f"thrust.c{k}", 0.0) for k in range(3)])
         torque = _polynomial(nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
+        if self._has_lag:
+            # At tau = 0 the jumps of the command are no rates: effects see what they see without a lag.
+            nu_rate = ca.if_else(self._lag(values) > 0, nu_rate, 0)
         flow = replace(
             flow, nu=nu, nu_rate=nu_rate, rotor_speed=vehicle.omega_scale * nu, thrust=thrust,
             velocity=rotation.T @ x["velocity"], velocity_world=x["velocity"], omega=x["rate"],

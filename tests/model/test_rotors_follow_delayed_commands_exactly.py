@@ -120,6 +120,21 @@ def test_a_delay_of_whole_samples_is_a_shift_of_the_record():
         np.testing.assert_allclose(shifted, then, rtol=1e-12, atol=1e-14)
 
 
+def test_without_a_lag_a_jump_of_the_command_turns_nothing_whether_the_model_could_lag_or_not():
+    """Else a score test of the rotors' inertia, made in the model with every effect at its null, asks for another law than
+    the refit without a lag has."""
+    able, plain = (
+        model_of(X250, *e, sensors=POSE, dt=DT) for e in (("motor_lag", "rotor_gyroscopic"), ("rotor_gyroscopic",))
+    )
+    low, high = [0.4, 0.5, 0.4, 0.5], [0.5, 0.4, 0.5, 0.4]
+    spun = {"rotor_gyroscopic__J_r": 1e-5}
+    a = function(able, "step")(state(able, rotor=low), high, vector(able, motor_lag__tau=0.0, **spun), QUIET, DT)
+    b = function(plain, "step")(state(plain), high, vector(plain, **spun), QUIET, DT)
+    np.testing.assert_allclose(blocks(able, a)["rate"], blocks(plain, b)["rate"], rtol=1e-12, atol=1e-14)
+    lagging = function(able, "step")(state(able, rotor=low), high, vector(able, motor_lag__tau=0.02, **spun), QUIET, DT)
+    assert blocks(able, lagging)["rate"][2] != pytest.approx(blocks(able, a)["rate"][2], abs=1e-3)
+
+
 def linear_hold(*effects):
     vehicle = vehicle_of(X250)
     vehicle = replace(
