@@ -23,7 +23,7 @@ VEHICLE, TRAIN, TEST = str(vehicle_path(SET)), str(flight_path(SET, "log15")), s
 
 def run(*arguments: str, program: str = "greybox", code: int = 0) -> str:
     """Standard output of a command that must end with this exit code."""
-    done = subprocess.run([str(BIN / program), *arguments], capture_output=True, text=True, check=False, timeout=600)
+    done = subprocess.run([str(BIN / program), *arguments], capture_output=True, text=True, check=False, timeout=1800)
     if done.returncode != code or "Traceback" in done.stderr:
         sys.exit(f"{program} {' '.join(arguments)}: exit code {done.returncode}\n{done.stdout}\n{done.stderr}")
     return done.stdout
