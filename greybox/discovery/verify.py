@@ -36,12 +36,18 @@ class Verified:
     leftover: Promoted
 
 
-def verified(nest: Nest, at: NestedFit, additions: Sequence[Addition], train: Dataset, *, seed: int = 0) -> Verified:
-    """Take back names that leave more than they explain; repeated, as what was taken back may have served another."""
+def verified(
+    nest: Nest, at: NestedFit, additions: Sequence[Addition], train: Dataset, held_out: HeldOut | None = None, *,
+    seed: int = 0,
+) -> Verified:  # fmt: skip
+    """Take back names that leave more than they explain and have not proven themselves on the flights of `held_out`;
+    repeated, as what was taken back may have served another."""
     kept, withheld = list(additions), list[Withheld]()
+    proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
     while kept and leftover.unnamed:
-        wrong = [w for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
+        doubtful = [a for a in kept if not any(set(a.effects) <= set(p) for p in proven)]
+        wrong = [w for a in doubtful if (w := _misfit(nest, at, a, leftover, train)) is not None]
         if not wrong:
             break
         withheld += wrong

@@ -351,7 +351,7 @@ def discover(
     withheld = done.withheld
     warnings += done.warnings
     say("leftover", 0.75)
-    last = verified(nest, at, additions, train, seed=seed)
+    last = verified(nest, at, additions, train, held_out, seed=seed)
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures
@@ -49,7 +50,7 @@ def _curve(validation: Mapping[str, Any], row: str, group: str) -> tuple[list[fl
     """(seconds, mean absolute error) of one row: the full curve where it was kept, else the listed horizons."""
     table = _tables(validation)[row]
     listed = [(h["h"], h["seconds"], h["groups"][group]["mae"]) for h in table["horizons"] if group in h["groups"]]
-    curve = validation.get("curves", {}).get(row, {}).get(group)
+    curve = validation.get("curves", {}).get(row.replace("_", " "), {}).get(group)
     if curve and listed:
         dt = listed[0][1] / listed[0][0]
         return [dt * (i + 1) for i in range(len(curve))], list(curve)
@@ -75,11 +76,15 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
     for g in groups:
         seconds: list[float] = []
         curves = {}
+        drawn = {name: _curve(validation, name, g) for name, *_ in rows}
+        for x, _ in drawn.values():
+            seconds = max(seconds, x, key=len)
         for name, label, colour, style, _ in rows:
-            x, y = _curve(validation, name, g)
+            x, y = drawn[name]
             if y:
-                curves[label] = (y, colour, style)
-                seconds = max(seconds, x, key=len)
+                # A row of which only some horizons are known stands at those, not at the first steps of another.
+                known = dict(zip(np.round(x, 9).tolist(), y, strict=True))
+                curves[label] = ([known.get(s) for s in np.round(seconds, 9).tolist()], colour, style)
         title = g.replace("_", " ")
         alt = f"Mean absolute {title} error against the prediction horizon, logarithmic axes, for {', '.join(curves)}"
         panels.append((figures.error_growth(seconds, curves, unit=units[g], title=title), alt))

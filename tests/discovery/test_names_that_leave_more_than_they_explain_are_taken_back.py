@@ -132,6 +132,25 @@ def test_all_flights_together_must_speak_for_a_name():
     assert verdict(seen(4.0, 0), seen(3.0, -3, spread=1.0), gained=15.0) is not None
 
 
+@pytest.mark.parametrize(
+    ("after", "likelier", "effect", "proven"),
+    [
+        (3.0, 200.0, "rotor_drag", True),
+        (3.0, 20.0, "rotor_drag", False),  # of 1000 samples
+        (3.9, 200.0, "rotor_drag", False),
+        (4.5, 200.0, "rotor_drag", False),
+        (3.0, 200.0, "constant_force", False),
+    ],
+)
+def test_flights_that_get_plainly_likelier_and_nearer_prove_a_name(
+    after: float, likelier: float, effect: str, proven: bool
+):
+    held = HeldOut(None)  # type: ignore[arg-type]
+    fits = Fitted(()), Fitted((effect,))
+    held.foresight = lambda f: seen(4.0, 0) if f is fits[0] else seen(after, likelier, seed=1)  # type: ignore[method-assign, assignment, return-value]
+    assert held.proven(*fits) is proven  # type: ignore[arg-type]
+
+
 def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():
     assert verdict(seen(4.0, 0), seen(6.0, 99)) is not None
     assert verdict(seen(4.0, 0), seen(6.0, 101)) is None
