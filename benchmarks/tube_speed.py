@@ -198,7 +198,14 @@ def ours(problem: Problem) -> Callable[[dict[str, np.ndarray]], Answer]:
         data["iterations_max"][()], data["tube_updates_max"][()] = 100, 0
         outcome, ms = timed(solver.solve)
         good = outcome.status == 0 and outcome.kkt <= TOLERANCE
-        return {**ms, "iterations": outcome.iterations, "good": good, "u": data["u"].copy(), "cost": outcome.cost}
+        return {
+            **ms,
+            "iterations": outcome.iterations,
+            "good": good,
+            "u": data["u"].copy(),
+            "cost": outcome.cost,
+            "qp iterations": outcome.qp_iterations,
+        }
 
     return solve
 
@@ -340,7 +347,7 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
     c.idxbu, c.lbu, c.ubu = np.arange(p.nu), np.full(p.nu, task.command_min), np.full(p.nu, task.command_max)
     c.C, c.D = np.hstack([np.zeros((p.nu, p.nx)), -np.eye(p.nu)]), np.eye(p.nu)
     c.lg, c.ug = np.full(p.nu, -task.rate_max), np.full(p.nu, task.rate_max)
-    c.lh, c.uh, c.idxsh = np.full(p.nl, -1e9), np.zeros(p.nl), np.arange(p.nl)
+    c.lh, c.uh, c.idxsh = np.full(p.nl, -100.0), np.zeros(p.nl), np.arange(p.nl)
     ocp.cost.zl = ocp.cost.zu = np.full(p.nl, task.penalty / task.dt)
     ocp.cost.Zl = ocp.cost.Zu = np.full(p.nl, task.penalty_square / task.dt)
     ocp.parameter_values = np.zeros(given.numel())
@@ -372,7 +379,8 @@ def with_acados(problem: Problem, home: Path, work: Path, kind: str) -> Callable
         count = int(np.max(solver.get_stats("sqp_iter"))) if kind == "SQP" else 1
         answer = {**ms, "iterations": count, "good": status == 0, "u": plan, "cost": float(solver.get_cost())}
         # by acados' own clock, which is wall time: only their ratio says something on a crowded machine
-        return answer | {k: 1e3 * float(solver.get_stats(f"time_{k}")) for k in ("lin", "qp")}
+        answer["qp iterations"] = int(np.sum(solver.get_stats("qp_iter")))
+        return answer | {k: 1e3 * float(np.sum(solver.get_stats(f"time_{k}"))) for k in ("lin", "qp")}
 
     return solve
 
@@ -404,6 +412,8 @@ def compared(solvers: dict[str, Any], problems: list[dict[str, np.ndarray]], poi
             row[f"{clock} over ours"] = round(float(np.median([a[clock] / b[clock] for a, b in zip(found, base)])), 2)
         row["iterations"] = float(np.median([a["iterations"] for a in found]))
         row["cpu per iteration"] = round(float(np.median([a["cpu"] / max(a["iterations"], 1) for a in found])), 3)
+        if "qp iterations" in found[0]:
+            row["QP iterations"] = float(np.median([a["qp iterations"] for a in found]))
         if "lin" in found[0]:
             row["linearisation over QP, wall"] = round(float(np.median([a["lin"] / a["qp"] for a in found])), 2)
         gaps = [np.nanmax(np.abs(found[i]["u"] - base[i]["u"])) for i in both]
