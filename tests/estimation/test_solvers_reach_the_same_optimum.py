@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,25 @@ def test_one_iteration_is_not_called_converged(name: str) -> None:
     assert not status.converged
     assert status.advice.startswith("NOT converged")
     assert theta.shape == (problem.n,)
+
+
+class Creeping:
+    """cost x^2/2 with a Hessian that is fifty times too large: every step takes two per cent of the way."""
+
+    lower, upper = np.array([-9.0]), np.array([9.0])
+
+    def evaluate(self, x, order=2):
+        return SimpleNamespace(
+            cost=1e3 + 0.5 * float(x @ x), valid=True, gradient=x.copy(), hessian=np.array([[50.0]])
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(("start", "arrived"), [(0.4, True), (4.0, False)])
+def test_a_search_that_creeps_has_arrived_where_little_is_promised(start: float, arrived: bool) -> None:
+    _, status = LevenbergMarquardt(damped=False).solve(Creeping(), np.array([start]))  # type: ignore[arg-type]
+    assert status.iterations == 60
+    assert status.converged is arrived
+    assert (status.decrement < 1e-3) is arrived
 
 
 @pytest.mark.parametrize("name", SOLVERS)

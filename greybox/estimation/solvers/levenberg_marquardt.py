@@ -19,6 +19,10 @@ from greybox.symbolic import BoolArray, FloatArray
 SHARES = (0.3, 0.1)
 """Parts of a failed step that are tried before the damping grows."""
 
+NEAR = 1e-3
+"""Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a standard error. Where the
+Gauss-Newton Hessian is not the true one, steps creep there for long."""
+
 Progress = Callable[[int, float, float], None]
 
 
@@ -27,7 +31,8 @@ class LevenbergMarquardt:
     """Stops when the predicted decrease of the cost (half the squared Newton decrement) falls below `tolerance`.
 
     The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a thousandth of its
-    standard error of the optimum. `damped=False` starts as pure Gauss-Newton with step halving.
+    standard error of the optimum; after the last iteration, or where rounding stops it, a thousand times that is enough.
+    `damped=False` starts as pure Gauss-Newton with step halving.
     """
 
     name: str = "levenberg-marquardt"
@@ -99,6 +104,8 @@ class LevenbergMarquardt:
                 code=Code.INTERRUPTED, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
             )
             raise Interrupted((x, status)) from stop
+        if code is Code.MAX_ITERATIONS and decrement < min(NEAR, 1e3 * self.tolerance):
+            code = Code.CONVERGED
         return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
 
 
