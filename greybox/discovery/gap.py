@@ -98,9 +98,11 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
-        if adapt is not None and model.flight_spread:
-            p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
+        if adapt is not None:
+            # The same seconds are judged whether this model has something to adapt or not.
             begin += adapt
+            if model.flight_spread:
+                p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
         for segment in flight.segments:
             late = np.flatnonzero(segment.t >= begin + 0.1)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
