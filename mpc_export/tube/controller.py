@@ -31,7 +31,7 @@ from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.tube.correlation import innovations
-from mpc_export.tube.descent import AWAY, BLIND, HELD, Descent, Watch
+from mpc_export.tube.descent import AWAY, BLIND, HELD, SLOW, Descent, Watch
 from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
@@ -50,6 +50,8 @@ FAILURES = 3
 """So many failed solutions in a row, and the next starts anew."""
 NEAR = {"position": 0.3, "velocity": 1.0}
 """The fallback corrects no more than this at a time [m, m/s]: its gain is linear and the commands are bounded."""
+GIVEN = 0.7
+"""Part of the hover command below which, in the mean, nothing is said of weak rotors."""
 MEAN = 0.3
 """Time constant of the mean command that weak rotors are judged by [s]."""
 
@@ -170,7 +172,7 @@ class TubeController:
         self._first: float | None = None
         self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
-        self._seen = [True] * len(self._pose)
+        self._seen = [math.inf] * len(self._pose)  # when a pose was last believed; infinity before the first sample
         data = self.solver.data
         data["x"][:], data["u"][:] = self._state(), self.u
 
@@ -277,7 +279,9 @@ class TubeController:
             after = self._step(self.estimate, self.u, self.p, *self._believed(time, share, y, there, expected))[0]
         if called and not there.any():
             self._note(time, "no measurement")
-        self._seen = [bool(there[rows].all() and share[k] > 0.0) for k, rows in self._pose]
+        for j, (k, rows) in enumerate(self._pose):
+            if (there[rows].all() and share[k] > 0.0) or math.isinf(self._seen[j]):
+                self._seen[j] = time
         found = after.full().ravel()
         if np.isfinite(found).all():
             self.estimate = found
@@ -346,7 +350,7 @@ class TubeController:
             away = float(np.linalg.norm(place - path.position[0]))
             reasons = {
                 "no steady command within the limits": (bool(self._weak.any()), HELD),
-                "position or attitude not measured": (not all(self._seen), BLIND),
+                "position or attitude not measured": (min(self._seen, default=begin) < begin - SLOW, BLIND - SLOW),
                 f"more than {self.lost:g} m from the path": (not away <= self.lost, AWAY),
             }
             why = self._watch(self.problem.dt, reasons)
@@ -396,7 +400,9 @@ class TubeController:
         if len(self._spin) == len(u) == 4:
             more -= self._spin * np.median(self._spin * more)
         given = np.maximum(self._mean, 1e-3) ** 2
-        return np.asarray(np.maximum(u, hover * np.sqrt(given / np.maximum(given - more, 0.01 * given))))
+        weak = hover * np.sqrt(given / np.maximum(given - more, 0.01 * given))
+        # In a dive so little is given that a load would look like a rotor without thrust.
+        return np.asarray(np.where(self._mean > GIVEN * hover, np.maximum(u, weak), u))
 
     def _along(self, path: Any, k: int) -> FloatArray:
         """State at sample k of the path: thrust along its acceleration and what the steady state holds against gravity and

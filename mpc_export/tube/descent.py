@@ -3,7 +3,7 @@
 It is declared, once and for the rest of the flight, where more often than not, for the times stated,
 
     no steady command within the limits holds the place, for HELD s (a rotor or the battery has lost too much),
-    position or attitude is not measured, or not believed, for BLIND s, or
+    position or attitude is not measured, or not believed, for BLIND s (the first SLOW s of every gap do not count), or
     the estimate is farther from the path than the controller's `lost` for AWAY s.
 
 The reference brakes at BRAKE to a descent of SPEED straight down. Yaw is given up: its reference is where the plan turns to
@@ -20,6 +20,8 @@ from greybox.symbolic import FloatArray
 
 HELD, BLIND, AWAY = 0.5, 0.5, 0.1
 """For how long a reason must hold [s]."""
+SLOW = 0.15
+"""Age of the last pose [s] up to which it is merely slow: one at 5 Hz flies on, one at 2 Hz does not."""
 SPEED, BRAKE = 0.5, 3.0
 """Speed of the descent [m/s] and acceleration of the way into it [m/s^2]."""
 

@@ -60,7 +60,7 @@ class Gate:
         """Share in [0, 1] of every sensor's innovation (n_e,) that is believed; 1 where nothing is `there` (n_e,)."""
         share = np.ones(len(self.sensors))
         # what overflows when squared is too far off as well
-        e = np.clip(innovation, -FAR, FAR)
+        e = np.nan_to_num(np.clip(innovation, -FAR, FAR), nan=FAR)
         sizes = np.sqrt(np.maximum(self._member @ (e * (self._inverse @ e)), 0.0)) / REACH
         if there.all() and not self.missed.any() and not self.wide.any() and sizes.max() <= 1.0:
             return share

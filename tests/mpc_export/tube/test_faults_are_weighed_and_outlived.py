@@ -32,6 +32,10 @@ def test_a_spike_is_not_believed_and_the_next_sample_is():
         assert seen(weigh, 0.01) == [1.0, 1.0]
 
 
+def test_a_sensor_without_a_number_blinds_no_other():
+    assert seen(gate(), math.nan) == [0.0, 1.0]
+
+
 def test_what_persists_is_believed_after_a_few_samples():
     weigh = gate()
     shares = [seen(weigh, 0.5)[0] for _ in range(8)]
@@ -179,6 +183,14 @@ def test_a_solver_that_stays_away_and_returns(controller):
     assert np.abs(path[-1] - [0, 0, 1]).max() < 5e-3
     assert controller.plan.time == pytest.approx(4.0, abs=0.021)
     assert np.isfinite(commands).all()
+
+
+@pytest.mark.parametrize(("every", "first"), [(2, 1), (10, 3)])
+def test_a_pose_that_is_slower_than_the_plan_is_no_reason_to_come_down(controller, every, first):
+    lost = dict.fromkeys(PLACE, math.nan)
+    path, _ = fly(controller, 200, seen=lambda k, y: y if k % every == first else y | lost)
+    assert not controller.descending
+    np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (200, 1)), atol=0.01)
 
 
 def test_without_a_position_it_comes_down_and_says_so(controller):
