@@ -49,7 +49,8 @@ def second_order(
     closed = a + b @ gain
     step = _step(model, problem, gain, steady).map(DRAWS)
     values, vectors = np.linalg.eigh(fresh)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # The symmetric root does not depend on how a library chooses the eigenvectors of equal values.
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     rng = np.random.default_rng(0)
     state, linear = ca.repmat(ca.DM(x), 1, DRAWS), np.zeros((n, DRAWS))
     for k in range(1, problem.horizon + 1):
@@ -75,10 +76,9 @@ def _step(
 
 
 def _surplus(h: FloatArray, linear: FloatArray) -> FloatArray:
-    """Positive part of E[h h'] - E[l l'] in units of the linear spread; rows that nothing moves stay zero."""
-    size = linear.std(axis=1)
-    moved = size > 0
-    unit = np.where(moved, size, 1.0)[:, None]
-    h, linear = h * moved[:, None] / unit, linear / unit
+    """Positive part of E[h h'] - E[l l'], every row in units of the larger of its two spreads; zero where nothing moves."""
+    size = np.sqrt(np.maximum((h**2).mean(axis=1), (linear**2).mean(axis=1)))
+    unit = np.where(size > 0, size, 1.0)[:, None]
+    h, linear = h / unit, linear / unit
     values, vectors = np.linalg.eigh((h @ h.T - linear @ linear.T) / h.shape[1])
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * unit * unit.T)

@@ -9,6 +9,7 @@ from mpc_export.functions import model_functions
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.correlation import correlation, error_transition, innovations
 from mpc_export.tube.problem import TubeProblem, Weights
+from mpc_export.tube.second_order import _surplus
 from mpc_export.tube.solver import TubeSolver
 from mpc_export.tube.stages import _weights, stages
 from tests.mpc_export import cases
@@ -198,6 +199,17 @@ def test_the_second_order_is_what_a_nonlinear_loop_adds(solver):
     # in calm air there is nothing to add
     calm = stages(model, problem, fresh=1e-4 * solver.stages.fresh)
     assert np.all(np.diag(calm.bent[-1]) <= 1e-3 * np.diag(spread(calm, model, problem.horizon)[0][-1]))
+
+
+@pytest.mark.parametrize("still", [0.0, 1e-14])
+def test_a_direction_that_the_linear_loop_hardly_moves_spoils_no_other(still):
+    linear = np.random.default_rng(3).standard_normal((3, 1000))
+    linear[2] *= still
+    bent = linear.copy()
+    bent[2] = 1e-2 * bent[0] * bent[1]
+    added = _surplus(bent, linear)
+    assert added[2, 2] == pytest.approx(np.mean(bent[2] ** 2), rel=0.05)
+    np.testing.assert_allclose(np.diag(added)[:2], 0.0, atol=0.05)
 
 
 def test_stages_hang_together_as_in_an_ensemble(solver):
