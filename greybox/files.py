@@ -63,13 +63,17 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
     return target
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Whether a file can be written at `path` or, where it is a folder, in it: said before hours of work, not after.
+def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> None:
+    """Whether a file can be written at `path` (in it, if it is to be a `folder`): said before hours of work, not after.
 
-    Nothing is made. Raises `OutputError` (disk full, read-only folder, a file where a folder should be).
+    Nothing is made. Raises `OutputError` (disk full, read-only folder, a file where a folder should be, or the reverse).
     """
     place = Path(path)
     try:
+        if folder and place.exists() and not place.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if not folder and place.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         while not place.exists():
             place = place.parent
         if place == Path(path) and not place.is_dir():

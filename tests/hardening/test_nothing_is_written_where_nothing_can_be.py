@@ -85,6 +85,17 @@ def test_a_place_that_cannot_be_is_refused_before_the_work(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file"]
 
 
+def test_a_file_is_no_folder_and_a_folder_no_file(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("old")
+    with pytest.raises(OutputError, match="Not a directory"):
+        check_writable(tmp_path / "file", folder=True)
+    with pytest.raises(OutputError, match="Is a directory"):
+        check_writable(tmp_path)
+    check_writable(tmp_path / "file")
+    check_writable(tmp_path, folder=True)
+    check_writable(tmp_path / "new" / "below", folder=True)
+
+
 FULL = """
 import json, resource, sys
 from greybox.cli import main
@@ -115,7 +126,7 @@ def test_a_read_only_folder_is_refused(tmp_path: Path) -> None:
     try:
         for name in ("file", "new", "."):
             with pytest.raises(OutputError, match="Permission denied"):
-                check_writable(tmp_path / name)
+                check_writable(tmp_path / name, folder=name == ".")
     finally:
         tmp_path.chmod(0o700)
 
