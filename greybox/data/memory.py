@@ -20,6 +20,7 @@ PER_BYTE = 50
 _lock = threading.Lock()
 _inside = 0
 _before: tuple[int, int] | None = None
+_limit = 0
 
 
 def allowance(path: str | os.PathLike[str]) -> int:
@@ -35,7 +36,7 @@ def allowance(path: str | os.PathLike[str]) -> int:
 @contextlib.contextmanager
 def bounded(path: str | os.PathLike[str]) -> Iterator[None]:
     """Nothing inside may take more than `allowance(path)`: a MemoryError there, or what a library makes of it."""
-    global _inside, _before
+    global _inside, _before, _limit
     try:
         import resource
 
@@ -45,10 +46,11 @@ def bounded(path: str | os.PathLike[str]) -> Iterator[None]:
         return
     with _lock:
         if _inside == 0:
-            _before = resource.getrlimit(resource.RLIMIT_AS)
+            _before, _limit = resource.getrlimit(resource.RLIMIT_AS), 0
         assert _before is not None
         _inside += 1
-        limit = used + allowance(path)
+        # Readers that run side by side share the largest limit.
+        limit = _limit = max(_limit, used + allowance(path))
         soft, hard = _before
         for other in (soft, hard):
             limit = limit if other == resource.RLIM_INFINITY else min(limit, other)

@@ -48,6 +48,8 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
     with subprocess.Popen(
         [sys.executable, "-u", "-m", "greybox.cli", *arguments, "--out", "out"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder, start_new_session=True,
+        # Who starts the tests in the background of a script has them ignore the signal.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:  # fmt: skip
 
         def listen() -> None:
