@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -229,15 +230,13 @@ def _row(
     course, n = task.course, min(flown, len(path), round(task.course.duration / task.dt))
     margins = {name: float(m.min(initial=np.inf)) for name, m in course.margins(path[:n, :3]).items()}
     reference = course.sample(np.asarray(task.dt * np.arange(n), dtype=float))
-    events: dict[str, int] = {}
-    for e in pilot.events:
-        events[e.what] = events.get(e.what, 0) + 1
     down = path[flown:]
     return {
         "fault": fault.name, "seed": seed, "begin": round(begin, 3), "outcome": outcome, "broken": list(broken)[:5],
         "broken_count": len(broken), "crossed": {k: -v for k, v in margins.items() if v < 0},
         "rmse": float(np.sqrt(np.mean(np.sum((path[:n, :3] - reference.position) ** 2, axis=1)))),
-        "tilt": float(_tilt(path).max()), "events": events, "seconds": round(task.dt * len(path), 2),
+        "tilt": float(_tilt(path).max()),
+        "events": dict(Counter(e.what for e in pilot.events)), "seconds": round(task.dt * len(path), 2),
         "descent": None if not len(down) else {
             "begin": round(task.dt * flown, 2), "after": round(task.dt * flown - begin, 2),
             "fastest": float(-down[:, 3].min()), "touched": float(-down[-1, 3]), "tilt": float(_tilt(down).max()),
@@ -258,10 +257,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             continue
         count = {o: sum(r["outcome"] == o for r in mine) for o in ("course", "landed", "crashed", "in the air")}
         depth = [max(r["crossed"].values()) for r in mine if r["crossed"]]
-        kinds: dict[str, int] = {}
+        kinds = Counter[str]()
         for r in mine:
-            for what, times in r["events"].items():
-                kinds[what] = kinds.get(what, 0) + times
+            kinds.update(r["events"])
         said = ", ".join(f"{what}: {times / len(mine):.3g}" for what, times in sorted(kinds.items()))
         lines.append(
             f"{name:10s} {len(mine):3d} {count['course']:6d} {count['landed']:6d} "

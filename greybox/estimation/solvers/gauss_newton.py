@@ -62,9 +62,9 @@ class GaussNewton:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
                 x, value = new, trial
-        except KeyboardInterrupt as stop:
-            status = Status(
-                code=Code.INTERRUPTED, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
-            )
-            raise Interrupted((x, status)) from stop
-        return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        except KeyboardInterrupt:
+            code = Code.INTERRUPTED
+        status = Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        if code is Code.INTERRUPTED:
+            raise Interrupted((x, status))
+        return x, status

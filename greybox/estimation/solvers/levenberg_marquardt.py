@@ -99,14 +99,14 @@ class LevenbergMarquardt:
                 if not moved:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
-        except KeyboardInterrupt as stop:
-            status = Status(
-                code=Code.INTERRUPTED, iterations=iteration, evaluations=evaluations, decrement=float(decrement)
-            )
-            raise Interrupted((x, status)) from stop
+        except KeyboardInterrupt:
+            code = Code.INTERRUPTED
         if code is Code.MAX_ITERATIONS and decrement < min(NEAR, 1e3 * self.tolerance):
             code = Code.CONVERGED
-        return x, Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        status = Status(code=code, iterations=iteration, evaluations=evaluations, decrement=float(decrement))
+        if code is Code.INTERRUPTED:
+            raise Interrupted((x, status))
+        return x, status
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
