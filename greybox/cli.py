@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if (path := getattr(arguments, option, None)) not in (None, "-"):
                 from greybox.files import check_writable
 
-                check_writable(path, folder=option == "out" and arguments.command not in ("inspect", "vehicle"))
+                check_writable(path, folder=option == "out" and not getattr(arguments, "one_file", False))
         with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
             code = int(arguments.run(arguments))
             sys.stdout.flush()

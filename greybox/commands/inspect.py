@@ -25,7 +25,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--draft", metavar="MAP.toml", help="write what columns with names of their own look like as a mapping "
                    "file, to be looked over")  # fmt: skip
     p.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
-    p.set_defaults(run=run)
+    p.set_defaults(run=run, one_file=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -46,7 +46,7 @@ def add(subparsers: Any) -> None:
                      help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine")  # fmt: skip
     new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
     new.add_argument("--force", action="store_true", help="write over an existing file")
-    new.set_defaults(run=run_new)
+    new.set_defaults(run=run_new, one_file=True)
     check = kinds.add_parser(
         "check",
         help="say what in a vehicle file is implausible",
