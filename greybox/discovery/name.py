@@ -61,7 +61,7 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     firsts = [{k: v for n in chosen for k, v in by_name[n].estimate.items()} for chosen in sets]
     tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
     fits: dict[tuple[str, ...], Refit] = {}
-    for chosen, found in zip(sets, nest.refits(tasks), strict=True):
+    for chosen, found in zip(sets, nest.contest(tasks), strict=True):
         if found.comparable and not any(found.at_bound(n) for n in chosen):
             fits[chosen] = found
     if not fits:
@@ -103,11 +103,16 @@ def _same_within_a_sample(nest: Nest, found: Refit) -> dict[str, float]:
     return dict.fromkeys((mine, *(n for n in pair if n != mine)), 0.5)
 
 
-def still_needed(nest: Nest, at: NestedFit, effect: str) -> tuple[NestedFit | None, float]:
-    """(the fit without `effect` if it does not improve BIC clearly next to the others, else None; BIC without - with)."""
-    smaller = nest.refit(tuple(e for e in at.effects if e != effect), start=at)
+def still_needed(
+    nest: Nest, at: NestedFit, effect: str, before: NestedFit | None = None
+) -> tuple[NestedFit | None, float]:
+    """(the fit without `effect` if it does not improve BIC clearly next to the others, else None; BIC without - with).
+
+    `before`: a fit without the effect, whose noise levels have room for it.
+    """
+    smaller = nest.contest([nest.task(tuple(e for e in at.effects if e != effect), start=at, also=before)], at.bic)[0]
     gain = smaller.bic - at.bic
-    return (None if gain > CLEAR or not smaller.fit.converged else smaller), gain
+    return (None if gain > CLEAR or not smaller.converged else nest.settle(smaller)), gain
 
 
 def prune(
@@ -121,7 +126,7 @@ def prune(
     notes = []
     for earlier in additions if len(additions) > 1 or single else ():
         for name in earlier.effects:
-            smaller, gain = still_needed(nest, at, name)
+            smaller, gain = still_needed(nest, at, name, earlier.before)
             if smaller is not None:
                 notes.append(f"{name} was added and is not needed next to the others (BIC {gain:.1f}): removed")
                 at = smaller

@@ -43,20 +43,28 @@ RECENT = 16
 """How many fits are remembered."""
 TOLERANCE = 1e-4
 """Where a fit stops: within about a hundredth of a standard error; the score tests project what is left off."""
+ROUGH = 0.1
+"""Where a fit that need not be exact stops: the cost that is left is a few times that."""
+ROOM = 30.0
+"""BIC behind the best within which rough fits are made exact: what matters is decided within 10."""
+SHARES = (1.0, 0.3, 0.1, 0.03)
+"""Parts of a first estimate to start from. The whole of a large one, linear from the null, can lie far outside; the noise
+levels then grow and shrink again for twenty iterations."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One fit in plain values: `model` holds just the effects that are free; `known` are unknowns to start from; a fit
-    without any starts its noise levels from the data."""
+    """One fit in plain values: `model` holds just the effects that are free; `starts` are unknowns to start from, of which
+    the likeliest is taken; a fit without any starts its noise levels from the data."""
 
     effects: tuple[str, ...]
     model: PhysicsModel
     free: tuple[str, ...]
     values: Mapping[str, float]
     noise: Mapping[str, float] | None
-    known: Mapping[Key, float] | None
+    starts: tuple[Mapping[Key, float], ...]
     choices: Mapping[str, Any]
+    tolerance: float = TOLERANCE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +149,13 @@ def _vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
     )
 
 
+def _unknowns(found: NestedFit, free: Iterable[str]) -> dict[Key, float]:
+    """What a fit found, of its parameters those that are free."""
+    pairs = zip(found.fit.problem.unknowns, found.fit.theta, strict=True)
+    wanted = set(free)
+    return {(u.name, u.flight): float(t) for u, t in pairs if u.kind != "parameter" or u.name in wanted}
+
+
 def _canonical(model: Any) -> Any:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
     if isinstance(model, SensorNoise):
@@ -162,8 +177,9 @@ def solve(task: Task, data: Dataset) -> Refit:
             _canonical(task.model), data, predictor=Innovation(), criterion=Gaussian(), free=task.free,
             values=task.values, noise=task.noise, **task.choices,
         )  # fmt: skip
-        start = noise_start(problem) if task.known is None else _vector(problem, task.known)
-        theta, status = LevenbergMarquardt(tolerance=TOLERANCE).solve(
+        starts = [np.clip(_vector(problem, k), problem.lower, problem.upper) for k in task.starts]
+        start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if starts else noise_start(problem)
+        theta, status = LevenbergMarquardt(tolerance=task.tolerance).solve(
             problem, np.clip(start, problem.lower, problem.upper)
         )
         value = problem.evaluate(theta, 0)
@@ -192,27 +208,48 @@ class Nest:
     """The last tasks that were carried out: a step that is decided again (a name was withheld) fits nothing twice."""
 
     def task(
-        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None
-    ) -> Task:
-        """Fit with `effects` free, from the estimates of `start` and first estimates (of a score test) for new ones."""
+        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None,
+        also: NestedFit | None = None,
+    ) -> Task:  # fmt: skip
+        """Fit with `effects` free, from the estimates of `start` and first estimates (of a score test) for new ones, or a
+        part of them, or from the noise levels or everything of `also`."""
         chosen = tuple(effects)
         free = (*self.candidates.core, *(p for e in chosen for p in self.candidates.parameters[e]))
         model = self.candidates.only(chosen)
         declared = {d.name: d for d in model.parameters}
-        values = {n: v for n, v in self.candidates.null.items() if n in declared}
-        known: dict[Key, float] | None = None
+        null = self.candidates.null
+        values = {n: v for n, v in null.items() if n in declared}
+        starts: list[dict[Key, float]] = []
         if start is not None:
-            found = zip(start.fit.problem.unknowns, start.fit.theta, strict=True)
-            known = {(u.name, u.flight): float(t) for u, t in found if u.kind != "parameter" or u.name in free}
-            for (name, flight), value in (first or {}).items():
-                if name in declared:
-                    known[name, flight] = float(np.clip(value, declared[name].lower, declared[name].upper))
-        there = {*declared}
-        choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in there)}
+            base = _unknowns(start, free)
+            new = {k: v for k, v in (first or {}).items() if k[0] in declared}
+            for share in SHARES if any(n in null for n, _ in new) else (1.0,):
+                part = {(n, f): null.get(n, v) + share * (v - null.get(n, v)) for (n, f), v in new.items()}
+                moved = {k: float(np.clip(v, declared[k[0]].lower, declared[k[0]].upper)) for k, v in part.items()}
+                starts.append(base | moved)
+            if also is not None:
+                other = _unknowns(also, free)
+                starts += [starts[0] | {k: v for k, v in other.items() if k[0] not in declared}, starts[0] | other]
+        choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in declared)}
         return Task(
-            effects=chosen, model=model, free=free, values=values, choices=choices, known=known,
+            effects=chosen, model=model, free=free, values=values, choices=choices, starts=tuple(starts),
             noise=self.noise if start is None else noise_of(start.fit.model),
         )  # fmt: skip
+
+    def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
+        """Carry out tasks that are held against each other, and against a fit of BIC `held`: exactly where BIC comes within
+        `ROOM` of the best, roughly where it does not (then it is a little too large)."""
+        found = self.refits([replace(t, tolerance=ROUGH) for t in tasks])
+        exact: set[int] = set()
+        while True:
+            best = min([held, *(r.bic for r in found if r.comparable)])
+            close = [i for i, r in enumerate(found) if r.comparable and r.bic < best + ROOM and i not in exact]
+            if not close:
+                return found
+            exact.update(close)
+            again = self.refits([replace(tasks[i], starts=(found[i].theta,)) for i in close])
+            for i, refit in zip(close, again, strict=True):
+                found[i] = refit
 
     def refits(self, tasks: Sequence[Task]) -> list[Refit]:
         """Carry out tasks, side by side where there is an executor. What cannot be sent runs here."""
@@ -239,10 +276,11 @@ class Nest:
         return NestedFit(effects=t.effects, fit=result)
 
     def refit(
-        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None
-    ) -> NestedFit:
+        self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None,
+        also: NestedFit | None = None,
+    ) -> NestedFit:  # fmt: skip
         """One fit and its whole result, see `task`."""
-        return self.settle(self.refits([self.task(effects, start, first)])[0])
+        return self.settle(self.refits([self.task(effects, start, first, also)])[0])
 
     def screen(self, at: NestedFit, *, alpha: float = 0.05, draws: int = 999, seed: int = 0) -> list[Score]:
         """Score tests of every candidate that is not in `at`."""

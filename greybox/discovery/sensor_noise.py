@@ -20,7 +20,7 @@ import scipy.stats
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
-from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -97,16 +97,25 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     # A filter delays slow signals by its time constant; noise levels of the better fit are the nearer start.
     late = rival.fit.parameters["sensor_delay.d"].value if "sensor_delay" in rival.effects else FILTER
     first: dict[tuple[str, str | None], float] = {(f"{p.name}.T", None): max(late, 0.25 * FILTER) for p in parts}
-    now = filtered.refit(at.effects, start=rival, first=first)
-    # A filter at a bound is a way round something else that is missing.
-    bent = any(now.fit.parameters[f"{p.name}.T"].at_bound for p in parts)
-    if bent or not now.fit.converged or not now.bic < at.bic - CLEAR:
+    task = filtered.task(at.effects, start=rival, first=first, also=at)
+    rough = filtered.refits([replace(task, tolerance=ROUGH)])[0]
+
+    def lost(found: Refit, room: float) -> bool:
+        # A filter at a bound is a way round something else that is missing.
+        bent = any(f"{p.name}.T" in found.bounds for p in parts)
+        return bent or not found.converged or not found.bic < at.bic - CLEAR + room
+
+    if lost(rough, ROOM):
         return None
+    exact = filtered.refits([replace(task, starts=(rough.theta,))])[0]
+    if lost(exact, 0.0):
+        return None
+    now = filtered.settle(exact)
     if now.bic >= rival.bic:
         # Lag and delay together may stand in for a filter and one of them, which is then named next to the filter.
         added = [e for e in rival.effects if e not in at.effects]
-        with_one = [filtered.task((*at.effects, e), start=rival, first=first) for e in added]
-        if not any(r.converged and r.bic < rival.bic - CLEAR for r in filtered.refits(with_one)):
+        with_one = [filtered.task((*at.effects, e), start=rival, first=first, also=at) for e in added]
+        if not any(r.converged and r.bic < rival.bic - CLEAR for r in filtered.contest(with_one)):
             return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
 
@@ -166,8 +175,9 @@ def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFi
     """The candidates and the fit `at` with the chosen noise, started from the levels that it was chosen with."""
     again = with_parts(nest, noise.parts)
     task = again.task(at.effects, start=at)
-    known = dict(task.known or {}) | {(n, None): float(np.log(v)) for n, v in noise.noise.items()}
-    return again, again.settle(again.refits([replace(task, known=known)])[0])
+    levels = {(n, None): float(np.log(v)) for n, v in noise.noise.items()}
+    starts = tuple(dict(known) | levels for known in task.starts)
+    return again, again.settle(again.refits([replace(task, starts=starts)])[0])
 
 
 def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:

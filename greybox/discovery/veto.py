@@ -129,7 +129,6 @@ class HeldOut:
             return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead)
         return None
 
-
     def proven(self, before: NestedFit, after: NestedFit) -> bool:
         """Whether what `after` adds to `before` is plain on these flights, and lets errors ahead fall clearly."""
         if set(after.effects) - set(before.effects) <= CONSTANT:

@@ -456,7 +456,9 @@ class _Search:
             if set(TIMING) & set(found.effects):
                 # A filter of the IMU looks like a lag or a delay.
                 ready = self._screen(nest, found.after, step + 1)
-                instead = filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
+                instead = (
+                    filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
+                )
                 if instead is not None:
                     self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
                     nest, at, gains = instead

@@ -11,7 +11,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,8 @@ from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import FloatArray
 
 IndexArray = npt.NDArray[np.intp]
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 FEW = 60_000
 """Samples below which sensitivities are compiled without optimisation: a dozen passes over them cost less than it takes."""
 
@@ -249,16 +251,22 @@ class Problem:
 
     def map_records(self, work: Callable[[int], Block]) -> Iterator[Block]:
         """`work(i)` for every record, in order, on all cores when the engine is compiled; a few ahead of who asks."""
-        count = len(self.records)
-        workers = min(count, os.cpu_count() or 1)
+        return self._ahead(work, range(len(self.records)))
+
+    def map_blocks(self, work: Callable[[Block], _T], blocks: Iterable[Block]) -> Iterator[_T]:
+        """`work(block)` for every block, in order, on all cores when the engine is compiled; few blocks are kept."""
+        return self._ahead(work, blocks)
+
+    def _ahead(self, work: Callable[[_S], _T], items: Iterable[_S]) -> Iterator[_T]:
+        workers = min(len(self.records), os.cpu_count() or 1)
         if workers == 1 or not self.engine.compiled:
-            yield from map(work, range(count))
+            yield from map(work, items)
             return
         with concurrent.futures.ThreadPoolExecutor(workers) as pool:
-            ahead: deque[concurrent.futures.Future[Block]] = deque()
-            for i in range(count):
-                ahead.append(pool.submit(work, i))
-                if len(ahead) > 2 * workers:
+            ahead: deque[concurrent.futures.Future[_T]] = deque()
+            for item in items:
+                ahead.append(pool.submit(work, item))
+                if len(ahead) > workers:
                     yield ahead.popleft().result()
             while ahead:
                 yield ahead.popleft().result()

@@ -25,7 +25,7 @@ class Refits:
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
     candidates: Any = field(default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01)))
 
-    def task(self, effects: Any, start: Any = None, first: Any = None) -> Any:
+    def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
         return tuple(sorted(effects))
 
     def refits(self, tasks: Any) -> Any:
@@ -34,10 +34,14 @@ class Refits:
             SimpleNamespace(
                 effects=chosen, theta=dict(self.theta), bic=self.bic.get(chosen, 1e9),
                 at_bound=lambda name: name in self.bound,
-                comparable=chosen not in self.failed, fit=SimpleNamespace(converged=chosen not in self.failed),
+                comparable=chosen not in self.failed, converged=chosen not in self.failed,
+                fit=SimpleNamespace(converged=chosen not in self.failed),
             )
             for chosen in tasks
         ]  # fmt: skip
+
+    def contest(self, tasks: Any, held: float = 0.0) -> Any:
+        return self.refits(tasks)
 
     def settle(self, refit: Any) -> Any:
         return refit

@@ -182,7 +182,12 @@ def test_hostile_names_are_shown_not_run():
 
 def test_what_only_the_sensors_do_stands_apart_from_physics():
     filtered = [
-        {"channel": c, "kind": "low_pass", "parameters": {"T": 0.004, "cutoff": 39.8, "sigma": 0.01}, "delta_bic": 812.0}
+        {
+            "channel": c,
+            "kind": "low_pass",
+            "parameters": {"T": 0.004, "cutoff": 39.8, "sigma": 0.01},
+            "delta_bic": 812.0,
+        }
         for c in ("p", "q")
     ]
     white = {"channel": "x", "kind": "white", "parameters": {"sigma": 0.001}, "delta_bic": None}

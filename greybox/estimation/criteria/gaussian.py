@@ -49,8 +49,12 @@ class Gaussian:
         cost = 0.0
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         rows: list[FloatArray] = []
-        for b in blocks:
-            part = self._block(b, order, scores)
+
+        def part_of(b: Block) -> tuple[Block, tuple[float, FloatArray, FloatArray, FloatArray]]:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # does not reach threads from outside
+                return b, self._block(b, order, scores)
+
+        for b, part in problem.map_blocks(part_of, blocks) if order else map(part_of, blocks):
             cost += part[0]
             if order:
                 gradient[b.columns] += part[1]
@@ -146,11 +150,11 @@ class Gaussian:
             if not order:
                 continue
             assert b.jacobian is not None
-            # Channel first, so that everything is a product of two matrices.
-            jz = np.tensordot(inverse, b.jacobian if at.size == n else b.jacobian[at], axes=(1, 1))
+            # Sample by sample: nothing is copied.
+            jz = np.matmul(inverse, b.jacobian if at.size == n else b.jacobian[at])
             pull = weight * z
             plain = bool((weight == 1).all())
-            flat = (jz if plain else jz * np.sqrt(weight).T[:, :, None]).reshape(-1, ns)
+            flat = (jz if plain else jz * np.sqrt(weight)[:, :, None]).reshape(-1, ns)
             hessian += flat.T @ flat
             flat_m = None
             if b.covariance_slope is not None:
@@ -161,11 +165,11 @@ class Gaussian:
                 half = 0.5 * flat_m if plain else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(ns, -1)
             there = np.diag((b.mask[at[0]] != 0).astype(float))
             if scores is None:
-                gradient += jz.reshape(-1, ns).T @ pull.T.ravel()
+                gradient += jz.reshape(-1, ns).T @ pull.ravel()
                 if flat_m is not None:
                     gradient -= half @ (pull.T @ z - at.size * there).ravel()
                 continue
-            per_sample = np.einsum("ins,ni->ns", jz, pull)
+            per_sample = np.matmul(pull[:, None, :], jz)[:, 0]
             if flat_m is not None:
                 outer = pull[:, :, None] * z[:, None, :] - there
                 per_sample = per_sample - outer.reshape(at.size, -1) @ half.T
