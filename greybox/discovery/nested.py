@@ -39,6 +39,10 @@ from greybox.symbolic import FloatArray
 
 BLOCK_SECONDS = 0.5
 """Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
+BLOCKS = 64
+"""Blocks that there should be, in short flights of a shorter length (not below a tenth of a second): their scores are a
+metric of up to six directions, which few blocks hardly know."""
+SHORTEST = 0.1
 RECENT = 16
 """How many fits are remembered."""
 TOLERANCE = 1e-4
@@ -291,7 +295,8 @@ class Nest:
                 at.fit.problem, at.fit.theta, self.candidates.model, self.data, null,
                 per_flight=self.choices.get("per_flight", ()),
             )  # fmt: skip
-            block = max(1, round(BLOCK_SECONDS / problem.dt))
+            seconds = sum(r.n for r in problem.records) * problem.dt
+            block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
             value = problem.evaluate(theta, scores=block)
             return screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
 

@@ -122,6 +122,9 @@ static int sized(tube_solver *s) {
   d_ocp_qp_sol_create(dim, &s->sol, s->memory[2]);
   d_ocp_qp_ipm_arg_create(dim, &s->arg, s->memory[3]);
   d_ocp_qp_ipm_arg_set_default(SPEED, &s->arg);
+  /* where slacks and multipliers begin, as acados sets it: half as many iterations as HPIPM's default */
+  int scheme = 1;
+  d_ocp_qp_ipm_arg_set_var_init_scheme(&scheme, &s->arg);
   /* the statistics of this many iterations are part of the workspace */
   int most = QP_ITERATIONS;
   d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
@@ -355,7 +358,7 @@ static double residual(tube_solver *s) {
    is then left as it was). d->kkt <= d->tolerance says that it converged. */
 int tube_solve(tube_solver *s, tube_data *d) {
   double begin = now();
-  int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS, cold = 0;
+  int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS, cold = 0, warm = 2;
   d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
   d->iterations = d->qp_iterations = 0;
   d->step = d->kkt = INFINITY;
@@ -383,6 +386,8 @@ int tube_solve(tube_solver *s, tube_data *d) {
       if (d->kkt <= d->tolerance) break;
     }
     if (it == (int)d->iterations_max) break;
+    /* the QP of the iteration before is near; that of the sample before may have other active limits */
+    if (it > 0) d_ocp_qp_ipm_arg_set_warm_start(&warm, &s->arg);
     d_ocp_qp_ipm_solve(&s->qp, &s->sol, &s->arg, &s->ws);
     int status, n;
     d_ocp_qp_ipm_get_status(&s->ws, &status);
