@@ -178,6 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
         result = fit_with(arguments, vehicle, train, progress)
     except Interrupted as stop:
         save(stop.kept)
+        (out / "report.html").unlink(missing_ok=True)  # of an earlier fit, whose numbers are gone
         say(f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}")
         raise
     # The fit is safe before anything else can go wrong.

@@ -93,6 +93,8 @@ def files(folder: Path) -> set[str]:
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an interrupted fit."""
     folder = tmp_path_factory.mktemp("fit")
+    (folder / "out").mkdir()
+    (folder / "out" / "report.html").write_text("<p>the report of an earlier fit, with other numbers</p>")
     assert "best values so far" in interrupted(FIT, "iteration   1", folder)
     return folder
 
