@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 
+from greybox.chi_square import log_tail
 from greybox.estimation.problem import Problem, Value
 from greybox.symbolic import FloatArray
 
@@ -148,9 +148,9 @@ def _calibrated(
         fisher, robust = float((total**2 / shares).sum()), float(total @ inverse @ total)
         drawn = multipliers @ centred
         statistic = np.einsum("bi,ij,bj->b", drawn, inverse, drawn)
-        logp = -scipy.stats.chi2.logsf(statistic, shares.size)
+        logp = -log_tail(statistic, shares.size)
         highest = np.maximum(highest, logp)
-        levels[name] = (fisher, robust, float(-scipy.stats.chi2.logsf(robust, shares.size)))
+        levels[name] = (fisher, robust, float(-log_tail(robust, shares.size)[0]))
     limit = float(np.exp(-np.quantile(highest, 1 - alpha))) if levels else 0.0
     out = []
     for s in scores:

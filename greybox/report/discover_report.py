@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import scipy.stats
 from matplotlib.figure import Figure
 
+from greybox.chi_square import log_tail
 from greybox.report import figures
 from greybox.report.discover_figures import band_map, evidence, paired_bars, regime_map
 from greybox.report.discover_sections import flights_section, sensors_section
@@ -193,7 +193,7 @@ def _bands(report: Report, content: Mapping[str, Any]) -> None:
 
 def _strength(score: Mapping[str, Any]) -> float:
     """-log10 p, finite however small p is."""
-    return float(-scipy.stats.chi2.logsf(score["statistic"], max(score["dof"], 1)) / math.log(10))
+    return float(-log_tail(score["statistic"], max(score["dof"], 1))[0] / math.log(10))
 
 
 def _which(report: Report, content: Mapping[str, Any]) -> None:

@@ -20,7 +20,7 @@ def content(verdict: str = "named") -> dict[str, Any]:
     """A discovery.json made by hand."""
     named, nothing = verdict == "named", verdict in ("bad_data", "nothing_missing")
     scores = [
-        {"name": "rotor_drag", "gain": 500.0, "statistic": 900.0, "dof": 2, "p": 0.0, "p_family": 0.001},
+        {"name": "rotor_drag", "gain": 500.0, "statistic": 90000.0, "dof": 2, "p": 0.0, "p_family": 0.001},
         {"name": "gyro_bias", "gain": 1.2, "statistic": 2.0, "dof": 3, "p": 0.57, "p_family": 0.98},
     ]
     axis = {
