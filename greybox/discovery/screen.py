@@ -148,8 +148,7 @@ def _calibrated(
         fisher, robust = float((total**2 / shares).sum()), float(total @ inverse @ total)
         drawn = multipliers @ centred
         statistic = np.einsum("bi,ij,bj->b", drawn, inverse, drawn)
-        logp = -log_tail(statistic, shares.size)
-        highest = np.maximum(highest, logp)
+        highest = np.maximum(highest, -log_tail(statistic, shares.size))
         levels[name] = (fisher, robust, float(-log_tail(robust, shares.size)[0]))
     limit = float(np.exp(-np.quantile(highest, 1 - alpha))) if levels else 0.0
     out = []
