@@ -82,7 +82,7 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
-    rivals = rivals or _same_within_a_sample(nest, fits[best])
+    rivals = rivals or _same_within_a_sample(nest, fits[best]) or _same_without_pose(nest, best)
     return Addition(
         effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
         delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
@@ -101,6 +101,12 @@ def _same_within_a_sample(nest: Nest, found: Refit) -> dict[str, float]:
     if dt is None or max(times) >= SHORT * dt:
         return {}
     return dict.fromkeys((mine, *(n for n in pair if n != mine)), 0.5)
+
+
+def _same_without_pose(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
+    """The delays of commands and of the IMU as equal rivals where nothing but the IMU is there: only their sum shows."""
+    pair = ("command_delay", "sensor_delay")
+    return dict.fromkeys(pair, 0.5) if best == pair[:1] and pair[1] in nest.candidates.unjudged else {}
 
 
 def still_needed(

@@ -18,10 +18,14 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
+from greybox.discovery.sensor_noise import TIMING
 from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
+LEFT = 0.5
+"""Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing
+shows without a velocity, bends the rates as a damping does."""
 SENSED = {"accelerometer": "force"}
 """What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
 
@@ -38,10 +42,10 @@ class Verified:
 
 def verified(
     nest: Nest, at: NestedFit, additions: Sequence[Addition], train: Dataset, held_out: HeldOut | None = None, *,
-    seed: int = 0,
+    before: Promoted | None = None, seed: int = 0,
 ) -> Verified:  # fmt: skip
     """Take back names that leave more than they explain and have not proven themselves on the flights of `held_out`;
-    repeated, as what was taken back may have served another."""
+    repeated, as what was taken back may have served another. `before`: what was missing without any addition."""
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
@@ -56,7 +60,21 @@ def verified(
         kept = [a for a in kept if a.effects]
         at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
         leftover = promote(at.fit, train, seed=seed)
+    # What a velocity that nobody measures does to force and torque is slow: it does not look like a lag or a delay.
+    weak = [a for a in kept if not set(a.effects) & set(TIMING)]
+    if weak and before is not None and blind(at) and leftover.unnamed and leftover.gain > LEFT * before.gain:
+        share = min(leftover.gain / before.gain, 1.0)
+        reason = f"without position, velocity or attitude, and with {share:.0%} of what was missing left"
+        withheld += [Withheld(effects=a.effects, reason=reason) for a in weak]
+        kept = [a for a in kept if a not in weak]
+        at = nest.refit([e for a in kept for e in a.effects], start=at)
+        leftover = promote(at.fit, train, seed=seed)
     return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
+
+
+def blind(at: NestedFit) -> bool:
+    """Whether nothing but rates and specific forces is measured."""
+    return {s.name for s in at.fit.model.physics.sensors} <= {"gyro", "accelerometer"}
 
 
 def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:

@@ -351,12 +351,13 @@ def discover(
     withheld = done.withheld
     warnings += done.warnings
     say("leftover", 0.75)
-    last = verified(nest, at, additions, train, held_out, seed=seed)
+    before = promote(null.fit, train, seed=seed, iterations=12) if at is not null else None
+    last = verified(nest, at, additions, train, held_out, before=before, seed=seed)
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not named & set(w.effects)]
-    before = promote(null.fit, train, seed=seed, iterations=12) if at is not null else leftover
+    before = before or leftover
     say("flight by flight", 0.88)
     steady = stability(nest, at, additions)
     warnings += [
@@ -509,6 +510,8 @@ def _errors(
 def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:
     """The manoeuvre that tells the rivals of an addition apart, each fitted next to what was found before."""
     before = addition.before
+    if not {n for name in addition.rivals for n in name.split("+")} <= set(nest.candidates.parameters):
+        return None  # one of them has nothing to be seen with in these logs
     fits = {
         name: nest.refit((*before.effects, *name.split("+")), start=before).fit for name in addition.rivals
     }  # fmt: skip

@@ -23,7 +23,9 @@ class Refits:
     bound: tuple[str, ...] = ()
     asked: list[tuple[str, ...]] = field(default_factory=list)
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
-    candidates: Any = field(default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01)))
+    candidates: Any = field(
+        default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01), unjudged={})
+    )
 
     def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
         return tuple(sorted(effects))
@@ -177,3 +179,16 @@ def test_a_lag_far_below_a_sample_is_not_told_from_a_delay(tau: float, grouped: 
     assert found is not None
     assert found.effects == ("motor_lag",)
     assert found.rivals == ({"motor_lag": 0.5, "command_delay": 0.5} if grouped else {})
+
+
+def test_without_a_pose_the_delays_of_commands_and_imu_are_one_group():
+    refits = Refits(
+        {(): 1000.0, ("command_delay",): 600.0, ("motor_lag",): 700.0, ("command_delay", "motor_lag"): 599.0}
+    )
+    found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
+    assert found is not None
+    assert found.rivals == {}
+    refits.candidates.unjudged["sensor_delay"] = "no pose"
+    found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
+    assert found is not None
+    assert found.rivals == {"command_delay": 0.5, "sensor_delay": 0.5}
