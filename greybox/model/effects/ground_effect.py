@@ -54,7 +54,7 @@ class GroundEffect(Effect):
                 unit="-",
                 nominal=0.0,
                 lower=0.0,
-                upper=12.0,
+                upper=40.0,
                 null=0.0,
                 scale=0.5,
                 meaning="strength, 1 = one rotor",
