@@ -8,7 +8,7 @@ delay) are refitted alone and together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,8 +42,11 @@ class Addition:
     scores: tuple[Score, ...]
 
 
-def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float) -> Addition | None:
-    """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly."""
+def next_addition(
+    nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, refused: Collection[frozenset[str]] = ()
+) -> Addition | None:
+    """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly. Sets of effects
+    that were `refused` are not tried."""
     passing = [s for s in scores if s.judged and s.allowed and s.p_family <= alpha]
     # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
     # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have.
@@ -58,6 +61,7 @@ def next_addition(nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: flo
     for pair in TOGETHER:
         if any(s.name in pair for s in passing) and all(n in by_name and by_name[n].judged for n in pair):
             sets.append(pair)
+    sets = [c for c in sets if frozenset(c) not in refused]
     firsts = [{k: v for n in chosen for k, v in by_name[n].estimate.items()} for chosen in sets]
     tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
     fits: dict[tuple[str, ...], Refit] = {}

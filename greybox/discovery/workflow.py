@@ -487,8 +487,10 @@ def _earned(
     """The best addition that flights which were not searched do not contradict, and those that they did."""
     withheld: list[Withheld] = []
     while True:
-        out = {n for w in withheld for n in w.effects}
-        found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha)
+        # Of a pair that failed either may stand alone.
+        refused = {frozenset(w.effects) for w in withheld}
+        out = {w.effects[0] for w in withheld if len(w.effects) == 1}
+        found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha, refused)
         refusal = None if found is None else unseen(found.after, found.effects, nest.candidates.null)
         if refusal is None and found is not None and held_out is not None:
             refusal = held_out.withheld(found.before, found.after)

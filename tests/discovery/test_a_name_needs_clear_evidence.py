@@ -129,6 +129,16 @@ def test_lag_and_delay_are_refitted_alone_and_together_and_are_no_rivals_of_thei
     assert found.delta_bic_rival is None
 
 
+def test_of_a_pair_that_was_refused_either_may_stand_alone():
+    bic = {(): 1000.0, ("motor_lag",): 700.0, ("command_delay",): 600.0, ("command_delay", "motor_lag"): 500.0}
+    scores = (score("motor_lag", 0.001), score("command_delay", 0.001))
+    at = cast(NestedFit, Refits(bic).refit(()))
+    pair = frozenset(("motor_lag", "command_delay"))
+    found = next_addition(cast(Nest, Refits(bic)), at, scores, 0.05, {pair})
+    assert found is not None
+    assert found.effects == ("command_delay",)
+
+
 def test_two_names_must_be_clearly_better_than_one():
     bic = {(): 1000.0, ("motor_lag",): 505.0, ("command_delay",): 600.0, ("command_delay", "motor_lag"): 500.0}
     found = choose(Refits(bic), score("motor_lag", 0.001), score("command_delay", 0.001))
