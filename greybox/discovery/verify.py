@@ -15,7 +15,7 @@ from typing import Any
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
-from greybox.discovery.name import Addition
+from greybox.discovery.name import Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
 from greybox.discovery.sensor_noise import TIMING
@@ -69,6 +69,13 @@ def verified(
         kept = [a for a in kept if a not in weak]
         at = nest.refit([e for a in kept for e in a.effects], start=at)
         leftover = promote(at.fit, train, seed=seed)
+    if kept and withheld:
+        # A wind is nothing without the drag that it acts through.
+        at, still, _ = prune(nest, at, kept, single=True)
+        lost = {n for a in kept for n in a.effects} - {n for a in still for n in a.effects}
+        if lost:
+            withheld += [Withheld(effects=(n,), reason="it is not needed without what was taken back") for n in sorted(lost)]
+            kept, leftover = still, promote(at.fit, train, seed=seed)
     return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
 
 

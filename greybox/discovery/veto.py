@@ -49,7 +49,7 @@ PLAIN = 0.1
 as long as much else is missing they are those of the rest, and a right addition may raise them."""
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
-CONSTANT = frozenset({"constant_force"})
+CONSTANT = frozenset({"constant_force", "steady_wind"})
 """Effects without a signal: any law has a mean, which they take."""
 MUCH = 5.0
 """How much more than the effect explained an axis may miss after it, in BIC, where what it misses follows no law."""
