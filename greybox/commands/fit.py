@@ -178,7 +178,8 @@ def run(arguments: argparse.Namespace) -> int:
         result = fit_with(arguments, vehicle, train, progress)
     except Interrupted as stop:
         save(stop.kept)
-        (out / "report.html").unlink(missing_ok=True)  # of an earlier fit, whose numbers are gone
+        for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
+            (out / name).unlink(missing_ok=True)
         say(f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}")
         raise
     # The fit is safe before anything else can go wrong.
@@ -191,6 +192,7 @@ def run(arguments: argparse.Namespace) -> int:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
         write_json(out / "fit.json", content)
+        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     if checked is not None:
         if not test.flights:
             checked.setdefault("warnings", []).insert(

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from greybox.errors import GreyboxError
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel, build_model
+from greybox.model.sensor_noise import white
 from greybox.model.vehicle import Vehicle
 
 TOGETHER = (("motor_lag", "command_delay"),)
@@ -36,6 +38,12 @@ class Candidates:
     def names(self) -> tuple[str, ...]:
         """The candidates in the order of the catalogue."""
         return tuple(self.parameters)
+
+    @property
+    def blind(self) -> bool:
+        """Whether nothing but rates and specific forces is measured."""
+        model: Any = white(self.model)
+        return {s.name for s in model.sensors} <= {"gyro", "accelerometer"}
 
     def only(self, effects: Iterable[str]) -> PhysicsModel:
         """The model that holds the known effects and some of the candidates."""

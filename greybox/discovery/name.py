@@ -29,7 +29,8 @@ CONTENDERS = 4
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Addition:
     """One step: `effects` were added (one, or two that go together) with family-wise `p_value`; `delta_bic` = BIC without
-    minus BIC with, `delta_bic_rival` to the best rival (None without one), `rivals` name -> weight of those within `CLEAR`
+    minus BIC with, `delta_bic_rival` to the best rival (None without one; above 30 a little too large, as such rivals are
+    fitted roughly), `rivals` name -> weight of those within `CLEAR`
     (empty: the name is clear). `before` and `after` are the fits."""
 
     effects: tuple[str, ...]
@@ -110,7 +111,7 @@ def _same_within_a_sample(nest: Nest, found: Refit) -> dict[str, float]:
 def _same_without_pose(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
     """The delays of commands and of the IMU as equal rivals where nothing but the IMU is there: only their sum shows."""
     pair = ("command_delay", "sensor_delay")
-    return dict.fromkeys(pair, 0.5) if best == pair[:1] and pair[1] in nest.candidates.unjudged else {}
+    return dict.fromkeys(pair, 0.5) if best == pair[:1] and nest.candidates.blind else {}
 
 
 def still_needed(

@@ -40,10 +40,11 @@ from greybox.symbolic import FloatArray
 BLOCK_SECONDS = 0.5
 """Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
 BLOCKS = 64
-"""Blocks that there should be, in short flights of a shorter length (not below a tenth of a second): their scores are a
-metric of up to six directions, which few blocks hardly know."""
-SHORTEST = 0.1
-RECENT = 16
+"""Blocks that there should be, in short flights of a shorter length: their scores are a metric of up to six directions,
+which few blocks hardly know."""
+SHORTEST = 0.2
+"""Not below this, or innovations that are correlated over a tenth of a second would count as evidence."""
+RECENT = 48
 """How many fits are remembered."""
 TOLERANCE = 1e-4
 """Where a fit stops: within about a hundredth of a standard error; the score tests project what is left off."""

@@ -18,7 +18,6 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
-from greybox.discovery.sensor_noise import TIMING
 from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -45,7 +44,8 @@ def verified(
     before: Promoted | None = None, seed: int = 0,
 ) -> Verified:  # fmt: skip
     """Take back names that leave more than they explain and have not proven themselves on the flights of `held_out`;
-    repeated, as what was taken back may have served another. `before`: what was missing without any addition."""
+    repeated, as what was taken back may have served another. On logs of gyro and accelerometer alone laws of force and
+    torque go, proven or not, while most of what was missing without any addition (`before`) is left."""
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
@@ -60,9 +60,10 @@ def verified(
         kept = [a for a in kept if a.effects]
         at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
         leftover = promote(at.fit, train, seed=seed)
-    # What a velocity that nobody measures does to force and torque is slow: it does not look like a lag or a delay.
-    weak = [a for a in kept if not set(a.effects) & set(TIMING)]
-    if weak and before is not None and blind(at) and leftover.unnamed and leftover.gain > LEFT * before.gain:
+    # What a velocity that nobody measures does to force and torque looks like another law of force and torque.
+    stages = {e.name: e.stage for e in at.fit.model.physics.effects}
+    weak = [a for a in kept if all(stages.get(n) == "wrench" for n in a.effects)] if nest.candidates.blind else []
+    if weak and before is not None and before.deficient and leftover.unnamed and leftover.gain > LEFT * before.gain:
         share = min(leftover.gain / before.gain, 1.0)
         reason = f"without position, velocity or attitude, and with {share:.0%} of what was missing left"
         withheld += [Withheld(effects=a.effects, reason=reason) for a in weak]
@@ -74,14 +75,11 @@ def verified(
         at, still, _ = prune(nest, at, kept, single=True)
         lost = {n for a in kept for n in a.effects} - {n for a in still for n in a.effects}
         if lost:
-            withheld += [Withheld(effects=(n,), reason="it is not needed without what was taken back") for n in sorted(lost)]
+            withheld += [
+                Withheld(effects=(n,), reason="it is not needed without what was taken back") for n in sorted(lost)
+            ]
             kept, leftover = still, promote(at.fit, train, seed=seed)
     return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
-
-
-def blind(at: NestedFit) -> bool:
-    """Whether nothing but rates and specific forces is measured."""
-    return {s.name for s in at.fit.model.physics.sensors} <= {"gyro", "accelerometer"}
 
 
 def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:

@@ -351,12 +351,14 @@ def discover(
     withheld = done.withheld
     warnings += done.warnings
     say("leftover", 0.75)
-    before = promote(null.fit, train, seed=seed, iterations=12) if at is not null else None
+    # A dozen iterations show where a model is deficient; where the share that is left decides, both are carried through.
+    enough = {} if offered.blind else {"iterations": 12}
+    before = promote(null.fit, train, seed=seed, **enough) if at is not null else None
     last = verified(nest, at, additions, train, held_out, before=before, seed=seed)
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
-    withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not named & set(w.effects)]
+    withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not set(w.effects) <= named]
     before = before or leftover
     say("flight by flight", 0.88)
     steady = stability(nest, at, additions)

@@ -24,7 +24,7 @@ class Refits:
     asked: list[tuple[str, ...]] = field(default_factory=list)
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
     candidates: Any = field(
-        default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01), unjudged={})
+        default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01), blind=False)
     )
 
     def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
@@ -198,7 +198,7 @@ def test_without_a_pose_the_delays_of_commands_and_imu_are_one_group():
     found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
     assert found is not None
     assert found.rivals == {}
-    refits.candidates.unjudged["sensor_delay"] = "no pose"
+    refits.candidates.blind = True
     found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
     assert found is not None
     assert found.rivals == {"command_delay": 0.5, "sensor_delay": 0.5}

@@ -95,6 +95,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fit")
     (folder / "out").mkdir()
     (folder / "out" / "report.html").write_text("<p>the report of an earlier fit, with other numbers</p>")
+    (folder / "out" / "validate.json").write_text("{}")
     assert "best values so far" in interrupted(FIT, "iteration   1", folder)
     return folder
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.estimation.problem import Block, Problem, Value
+from greybox.estimation.problem import Block, IndexArray, Problem, Value
 from greybox.symbolic import FloatArray
 
 LOG_2PI = float(np.log(2 * np.pi))
@@ -50,18 +50,18 @@ class Gaussian:
         gradient, hessian = np.zeros(n), np.zeros((n, n))
         rows: list[FloatArray] = []
 
-        def part_of(b: Block) -> tuple[Block, tuple[float, FloatArray, FloatArray, FloatArray]]:
+        def part_of(b: Block) -> tuple[IndexArray, tuple[float, FloatArray, FloatArray, FloatArray]]:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # does not reach threads from outside
-                return b, self._block(b, order, scores)
+                return b.columns, self._block(b, order, scores)  # not the block: its sensitivities are large
 
-        for b, part in problem.map_blocks(part_of, blocks) if order else map(part_of, blocks):
+        for columns, part in problem.map_blocks(part_of, blocks) if order else map(part_of, blocks):
             cost += part[0]
             if order:
-                gradient[b.columns] += part[1]
-                hessian[np.ix_(b.columns, b.columns)] += part[2]
+                gradient[columns] += part[1]
+                hessian[np.ix_(columns, columns)] += part[2]
                 if scores is not None:
                     wide = np.zeros((len(part[3]), n))
-                    wide[:, b.columns] = part[3]
+                    wide[:, columns] = part[3]
                     rows.append(wide)
         if not order:
             return Value(cost=cost, likelihood=cost)
