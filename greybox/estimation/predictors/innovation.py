@@ -22,6 +22,10 @@ from greybox.estimation.gain import Riccati, linearisation_at, lost_of, stationa
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
+FORGOTTEN = 1e-100
+"""Sensitivity that is zero for the next piece. Of its start a long record forgets everything; numbers below 1e-308, which
+the decay would otherwise end in, take ten times as long."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Innovation:
@@ -127,6 +131,8 @@ class Innovation:
                     raise FitError(f"the prediction of flight {record.flight} is not finite after sample {at}")
                 assert run.innovations is not None
                 x, s = run.end, run.end_sensitivity
+                if s is not None:
+                    s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
                 yield Block(
                     record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
                     columns=np.concatenate(columns), covariance=covariance, covariance_slope=slope,
