@@ -192,13 +192,14 @@ def run(arguments: argparse.Namespace) -> int:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
         write_json(out / "fit.json", content)
-        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     if checked is not None:
         if not test.flights:
             checked.setdefault("warnings", []).insert(
                 0, "validated on the flights that were fitted: give --test flights"
             )
         write_json(out / "validate.json", checked)
+    else:
+        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
     page = fit_report(
         content, series(result.model, train, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"

@@ -97,9 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
     for columns, rows in groups:
         fit = _fit(arguments, train, inputs, outputs, columns, rows, order, delays)
         if not quiet:
-            print(f"{fit.model.name}\n{fit.summary()}")
-            if fit.order_choice is not None:
-                print(fit.order_choice.format())
+            said = [fit.model.name, fit.summary(), *([] if fit.order_choice is None else [fit.order_choice.format()])]
+            # In one piece: an interrupt between a text and its end of line would leave half a line.
+            print("\n".join([*said, ""]), end="")
         intervals = _intervals(fit, train.records, columns, rows) if arguments.profile else ()
         results.append(
             validate_linear(

@@ -182,11 +182,10 @@ def solve(task: Task, data: Dataset) -> Refit:
             _canonical(task.model), data, predictor=Innovation(), criterion=Gaussian(), free=task.free,
             values=task.values, noise=task.noise, **task.choices,
         )  # fmt: skip
-        starts = [np.clip(_vector(problem, k), problem.lower, problem.upper) for k in task.starts]
-        start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if starts else noise_start(problem)
-        theta, status = LevenbergMarquardt(tolerance=task.tolerance).solve(
-            problem, np.clip(start, problem.lower, problem.upper)
-        )
+        offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
+        starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
+        start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
+        theta, status = LevenbergMarquardt(tolerance=task.tolerance).solve(problem, start)
         value = problem.evaluate(theta, 0)
     ends = [
         u.name for u, t in zip(problem.unknowns, theta, strict=True)

@@ -22,7 +22,7 @@ from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
-LEFT = 0.5
+MOST = 0.5
 """Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing
 shows without a velocity, bends the rates as a damping does."""
 SENSED = {"accelerometer": "force"}
@@ -61,9 +61,8 @@ def verified(
         at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
         leftover = promote(at.fit, train, seed=seed)
     # What a velocity that nobody measures does to force and torque looks like another law of force and torque.
-    stages = {e.name: e.stage for e in at.fit.model.physics.effects}
-    weak = [a for a in kept if all(stages.get(n) == "wrench" for n in a.effects)] if nest.candidates.blind else []
-    if weak and before is not None and before.deficient and leftover.unnamed and leftover.gain > LEFT * before.gain:
+    weak = [a for a in kept if _all_of(at, a, "wrench")] if nest.candidates.blind else []
+    if weak and before is not None and before.deficient and leftover.unnamed and leftover.gain > MOST * before.gain:
         share = min(leftover.gain / before.gain, 1.0)
         reason = f"without position, velocity or attitude, and with {share:.0%} of what was missing left"
         withheld += [Withheld(effects=a.effects, reason=reason) for a in weak]
@@ -82,9 +81,14 @@ def verified(
     return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
 
 
-def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:
+def _all_of(at: NestedFit, addition: Addition, stage: str) -> bool:
+    """Whether all effects of the addition belong to the stage."""
     stages = {e.name: e.stage for e in at.fit.model.physics.effects}
-    if all(stages.get(n) == "sensor" for n in addition.effects):
+    return all(stages.get(n) == stage for n in addition.effects)
+
+
+def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:
+    if _all_of(at, addition, "sensor"):
         kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
         return misfit_of(addition.effects, kinds, {}, leftover.unnamed, addition.delta_bic)
     wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)

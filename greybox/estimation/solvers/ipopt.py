@@ -6,6 +6,7 @@ differences of the exact gradient, 2 n evaluations each: slow, for checking and 
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -147,9 +148,9 @@ class _Callback(ca.Callback):
             self.memory.interrupted = True
             raise
 
+    @abstractmethod
     def compute(self, arg: Any) -> Any:
         """The function itself."""
-        raise NotImplementedError
 
 
 class _Cost(_Callback):
