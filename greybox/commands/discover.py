@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
     from greybox.data.logs import read_logs
-    from greybox.discovery.workflow import Discovery, discover, refused
+    from greybox.discovery.result import Discovery
+    from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json

@@ -28,7 +28,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
 from scenarios.studies.discovery_cells import (
     ERRORS,

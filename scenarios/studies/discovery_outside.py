@@ -23,7 +23,8 @@ from statistics import median
 from typing import Any
 
 from greybox.data import Dataset
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect

@@ -26,7 +26,8 @@ from typing import Any
 from greybox.data import Dataset
 from greybox.data.checks import check
 from greybox.data.logs import read_logs
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from greybox.files import write_json
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
 from greybox.report.discover_report import discover_report

@@ -26,7 +26,8 @@ from typing import Any
 from greybox.data import Dataset
 from greybox.data.checks import check_logs
 from greybox.data.logs import read_logs
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from greybox.model.effects import CATALOGUE
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints

@@ -13,8 +13,9 @@ import pytest
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery import workflow
+from greybox.discovery.result import Discovery
 from greybox.discovery.sensor_noise import Suspected
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
 from greybox.files import to_plain
 from greybox.model.effects import CATALOGUE

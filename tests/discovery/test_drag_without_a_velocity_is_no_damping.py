@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from scenarios.studies.discovery_cells import Cell, flown, nominal
 from tests.discovery.small_world import shorten
 

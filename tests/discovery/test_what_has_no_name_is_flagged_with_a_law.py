@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox.discovery.workflow import Discovery, discover
+from greybox.discovery.result import Discovery
+from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from scenarios.plants.outside import Magnet
 from scenarios.plants.presets import x250

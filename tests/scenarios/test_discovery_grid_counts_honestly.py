@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from greybox.discovery.workflow import Discovery
+from greybox.discovery.result import Discovery
 from scenarios.plants.effects import MotorLag, RotorAsymmetry
 from scenarios.plants.presets import X250
 from scenarios.studies import discovery_grid
