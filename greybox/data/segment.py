@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -14,6 +14,8 @@ from greybox.errors import DataError, UnknownNameError
 
 FloatArray = npt.NDArray[np.float64]
 
+EARLIER = 0.2
+"""Seconds before a cut whose samples are remembered: longer than any delay."""
 CLOCK_TOLERANCE = 1e-3
 """Largest deviation of a sample from the uniform grid, as a share of the sample time."""
 
@@ -31,14 +33,17 @@ class Segment:
     """Samples at t_0 + k dt. All arrays are (N,), read-only copies; NaN = missing.
 
     `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's own may use any
-    names); `extra` are the log's unknown columns, as they came (float64, or text). Raises `DataError` where shapes do
-    not fit, the clock is not uniform, a value is infinite, or there are fewer than two samples.
+    names); `extra` are the log's unknown columns, as they came (float64, or text). `earlier` are channels of the samples
+    just before t_0, (M,) each, where the segment was cut out of a longer one: commands that a delay still has to deliver.
+    Raises `DataError` where shapes do not fit, the clock is not uniform, a value is infinite, or there are fewer than two
+    samples.
     """
 
     t: FloatArray
     channels: Mapping[str, FloatArray]
     flight: str = "flight"
     extra: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    earlier: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = int(np.size(self.t))
@@ -66,12 +71,18 @@ class Segment:
                 raise DataError(f"extra column {name} has shape {array.shape}", where=f"flight {self.flight}")
             array.setflags(write=False)
             extra[name] = array
+        length = min((int(np.size(v)) for v in self.earlier.values()), default=0)
+        earlier = {k: _frozen_floats(v, length, f"earlier {k}", self.flight) for k, v in self.earlier.items()}
+        object.__setattr__(self, "earlier", MappingProxyType(earlier))
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "extra", MappingProxyType(extra))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"t": self.t, "channels": dict(self.channels), "flight": self.flight, "extra": dict(self.extra)}
+        return {
+            "t": self.t, "channels": dict(self.channels), "flight": self.flight, "extra": dict(self.extra),
+            "earlier": dict(self.earlier),
+        }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -118,13 +129,16 @@ class Segment:
         return out
 
     def rows(self, start: int, stop: int) -> Segment:
-        """Samples start <= k < stop. Raises `DataError` where fewer than two are left."""
-        part = slice(max(start, 0), max(stop, 0))
+        """Samples start <= k < stop, with a memory of those before. Raises `DataError` where fewer than two are left."""
+        start = max(start, 0)
+        part, past = slice(start, max(stop, 0)), slice(max(start - round(EARLIER / self.dt), 0), start)
+        earlier = {k: v[past] for k, v in self.channels.items()} if start else self.earlier
         return Segment(
             t=self.t[part],
             channels={k: v[part] for k, v in self.channels.items()},
             flight=self.flight,
             extra={k: v[part] for k, v in self.extra.items()},
+            earlier=earlier,
         )
 
     def between(self, t0: float, t1: float) -> Segment:
@@ -132,10 +146,15 @@ class Segment:
         start, stop = np.searchsorted(self.t, [t0, t1])
         return self.rows(int(start), int(stop))
 
+    def without(self, names: Collection[str]) -> Segment:
+        """A copy without these channels."""
+        kept, earlier = ({k: v for k, v in d.items() if k not in names} for d in (self.channels, self.earlier))
+        return Segment(t=self.t, channels=kept, flight=self.flight, extra=self.extra, earlier=earlier)
+
     def replace(self, channels: Mapping[str, npt.ArrayLike]) -> Segment:
         """A copy with these channels set or added, (N,) each."""
         merged = {**self.channels, **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()}}
-        return Segment(t=self.t, channels=merged, flight=self.flight, extra=self.extra)
+        return Segment(t=self.t, channels=merged, flight=self.flight, extra=self.extra, earlier=self.earlier)
 
     def __repr__(self) -> str:
         return f"Segment({self.flight}, {self.n} samples of {self.dt:g} s, {', '.join(self.names)})"

@@ -108,9 +108,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue
-            seen = {n: v for n, v in segment.channels.items() if n not in flight.noncausal}
-            bare = Segment(t=segment.t, channels=seen, flight=segment.flight, extra=segment.extra)
-            filtered = runner.run(bare, p=p)
+            filtered = runner.run(segment.without(flight.noncausal), p=p)
             logliks.append(_logliks(filtered, segment.t, late[0]))
             samples += late.size
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)

@@ -8,13 +8,13 @@ delay) are refitted alone and together.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.discovery.candidates import LOOK_ALIKES, TOGETHER
-from greybox.discovery.nested import Nest, NestedFit, Refit
+from greybox.discovery.nested import ROOM, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
 CLEAR = 10.0
@@ -87,7 +87,7 @@ def next_addition(
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
-    rivals = rivals or _same_within_a_sample(nest, fits[best]) or _same_without_pose(nest, best)
+    rivals = _same_within_a_sample(nest, fits[best], best, gaps) or rivals or _same_without_pose(nest, best)
     return Addition(
         effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
         delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
@@ -95,17 +95,17 @@ def next_addition(
     )  # fmt: skip
 
 
-def _same_within_a_sample(nest: Nest, found: Refit) -> dict[str, float]:
-    """Lag and delay as equal rivals where the one that was found is much shorter than a sample."""
-    pair = next((p for p in TOGETHER if len(set(p) & set(found.effects)) == 1), None)
-    if pair is None:
+def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: Mapping[str, float]) -> dict[str, float]:
+    """Equal rivals where what was found is a time much shorter than a sample: lag and delay of the command in any case, and
+    what is not far behind; `gaps`: rival -> BIC behind."""
+    timing = next((g for g in LOOK_ALIKES if set(new) <= set(g)), ())
+    times = [abs(v) for (n, _), v in found.theta.items() if n.split(".")[0] in new]
+    if len(new) != 1 or not timing or max(times) >= SHORT * nest.candidates.model.sample_time:
         return {}
-    mine = next(n for n in pair if n in found.effects)
-    times = [v for (n, _), v in found.theta.items() if n.split(".")[0] == mine]
-    dt = nest.candidates.model.sample_time if times else None
-    if dt is None or max(times) >= SHORT * dt:
-        return {}
-    return dict.fromkeys((mine, *(n for n in pair if n != mine)), 0.5)
+    pair = next((p for p in TOGETHER if new[0] in p), ())
+    near = [n for n, g in gaps.items() if g < (ROOM if n in timing else CLEAR)]
+    names = tuple(dict.fromkeys((*new, *pair, *near)))
+    return dict.fromkeys(names, 1 / len(names)) if len(names) > 1 else {}
 
 
 def _same_without_pose(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:

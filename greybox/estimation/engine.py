@@ -209,14 +209,18 @@ class Engine:
         self._work = [v.value for v in sizes]
         self._library = library
 
-    def padded_inputs(self, u: FloatArray) -> FloatArray:
-        """Record of commands (n, n_u) with its first and last rows repeated for the window: (n + past + future, n_u)."""
+    def padded_inputs(self, u: FloatArray, earlier: FloatArray | None = None) -> FloatArray:
+        """Record of commands (n, n_u) with what the window sees besides: (n + past + future, n_u).
+
+        Before it stand the commands `earlier` (m, n_u) as far as they go, then the first row; after it the last row.
+        """
         u = np.asarray(u, dtype=np.float64)
         if not (self.past or self.future):
             return np.ascontiguousarray(u)
-        return np.ascontiguousarray(
-            np.concatenate([np.repeat(u[:1], self.past, 0), u, np.repeat(u[-1:], self.future, 0)])
-        )
+        known = u[:0] if earlier is None or not self.past else np.asarray(earlier, dtype=np.float64)[-self.past :]
+        first = (known if len(known) else u)[:1]
+        rows = [np.repeat(first, self.past - len(known), 0), known, u, np.repeat(u[-1:], self.future, 0)]
+        return np.ascontiguousarray(np.concatenate(rows))
 
     def run(
         self,

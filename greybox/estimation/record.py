@@ -81,10 +81,19 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) ->
     start["t"] = segment.t[:few]
     x0, sigma = dynamics.initial_state(start)
     return Record(
-        flight=segment.flight, segment=segment, inputs=engine.padded_inputs(u), outputs=y,
+        flight=segment.flight, segment=segment, outputs=y,
+        inputs=engine.padded_inputs(u, _earlier(segment, dynamics.inputs.names)),
         mask=mask.astype(np.float64), pattern=pattern.ravel().astype(np.int32), patterns=patterns.astype(np.float64),
         dt=segment.dt, x0=x0, x0_sigma=sigma, held=held,
     )  # fmt: skip
+
+
+def _earlier(segment: Segment, names: tuple[str, ...]) -> FloatArray | None:
+    """(m, n_u) inputs of the samples before the segment, None where they are not all known."""
+    if not names or not all(n in segment.earlier for n in names):
+        return None
+    u = hold_missing(np.column_stack([segment.earlier[n] for n in names]))[0]
+    return u if np.isfinite(u).all() else None
 
 
 def _after_lost(mask: BoolArray, u: FloatArray) -> BoolArray:

@@ -43,6 +43,8 @@ BLOCKS: Mapping[str, tuple[str, str, int, int]] = {
 """State blocks of the rigid body: letters, unit, raw size, error size. Rotor states follow where there is a lag."""
 POSE_REACH = 0.05
 """How far back commands are looked up for a late pose [s]; before that the oldest of them stands."""
+APERTURE = 0.01
+"""Part of a sample over which a sensor sees a command that jumps: an instant, but with a slope for the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,14 +330,15 @@ class PhysicsModel:
             return middle, middle, 0.0
         return ca.vertcat(older, rest), ca.vertcat(newer, rest), share * dt
 
-    def _sampled_command(self, window: Expr, delay: Expr, dt: Expr) -> Expr:
-        """The delayed command that a sample sees: the mean over the coming step (held record), else the value now."""
+    def _sampled_command(self, window: Expr, delay: Expr, dt: Expr, aperture: float = APERTURE) -> Expr:
+        """The delayed command that a sample sees: the value now, of a held record its mean over the coming `aperture` dt."""
         past, future = self.window
-        if future:
-            older, newer, share = self._bracket(window, delay / dt)
-            return ca.vertcat(share * older + (1 - share) * newer, window[self._n :, past])
-        u_a, u_b, switch = self._held_command(window, delay, dt)
-        return u_a + (u_b - u_a) * (1 - switch / dt)
+        if past == 0 and future == 0:
+            return window
+        older, newer, share = self._bracket(window, delay / dt)
+        if not future:
+            share = ca.fmin(share / aperture, 1.0)
+        return ca.vertcat(newer + share * (older - newer), window[self._n :, past])
 
     def _mean_command(self, window: Expr, delay: Expr, back: Expr, dt: Expr) -> Expr:
         """Mean of the delayed command over the last `back` seconds before t_k (the coming one where `back` is negative)."""
@@ -353,7 +356,7 @@ class PhysicsModel:
             weight = (ca.fmin(old, m + 1) if m < past - 1 else old) - ca.fmax(young, m)
             weight = ca.fmax(weight, 0.0)
             total, command = total + weight, command + weight * window[: self._n, past - m - 1]
-        coming = self._sampled_command(window, delay, dt)
+        coming = self._sampled_command(window, delay, dt, aperture=1.0)
         return ca.if_else(back < 0, coming, ca.vertcat(command / total, window[self._n :, past]))
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
@@ -592,9 +595,7 @@ class PhysicsModel:
         u_imu = (u, u)
         if self._has("imu_delay"):
             back = self._early("imu_delay", values)
-            # A sample's worth of the record, in the middle of the delay but not from the step that only begins.
-            middle = ca.fmax(dt, 0.5 * (back + dt))
-            u_imu = tuple(self._sampled_command(window, delay + b, dt) for b in (back, middle))
+            u_imu = (self._sampled_command(window, delay + back, dt), self._mean_command(window, delay, back, dt))
         u_pose = (
             self._mean_command(window, delay, self._early("pose_delay", values), dt) if self._has("pose_delay") else u
         )

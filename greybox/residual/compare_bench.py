@@ -95,8 +95,8 @@ class Bench:
         self.dt = self.train.flights[0].dt
         self.steps = max(REQUIRED, *self.horizons)
         self.every = max(1, round(SPACING / self.dt))
-        self.train_segments = tuple(_causal(s, self.train) for s in self.train.segments)
-        self.segments = tuple(_causal(s, self.test) for s in self.test.segments)
+        self.train_segments = tuple(s.without(self.train.noncausal) for s in self.train.segments)
+        self.segments = tuple(s.without(self.test.noncausal) for s in self.test.segments)
         self.views = tuple(black_box_view(s) for s in self.segments)
         self.extra_tables: dict[str, HorizonTable] = {}
         rows = np.concatenate([s.matrix(self.outputs) for s in self.train_segments])
@@ -131,8 +131,8 @@ class Bench:
             chosen = np.random.default_rng(self.seed).permutation(len(self.train))[:count]
             own, judge = self.train.split_by_flight([self.train.names[i] for i in sorted(chosen)])
         return (
-            tuple(_causal(s, self.train) for s in own.segments),
-            tuple(_causal(s, self.train) for s in judge.segments),
+            tuple(s.without(self.train.noncausal) for s in own.segments),
+            tuple(s.without(self.train.noncausal) for s in judge.segments),
         )
 
     # ------------------------------------------------------------------------------------------------ shared fits
@@ -272,9 +272,3 @@ def _unadapted(predictor: Any) -> Any:
         return replace(predictor, adapt=None)
     base = getattr(predictor, "base", None)
     return replace(predictor, base=replace(base, adapt=None)) if isinstance(base, BasePredictor) else predictor
-
-
-def _causal(segment: Segment, data: Dataset) -> Segment:
-    """Without channels that were smoothed with later samples."""
-    kept = {n: v for n, v in segment.channels.items() if n not in data.noncausal}
-    return Segment(t=segment.t, channels=kept, flight=segment.flight, extra=segment.extra)

@@ -8,7 +8,7 @@ a reference, never a measurement. The rows beside each table are persistence (ce
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -143,7 +143,7 @@ class _Work:
         spread = {} if adapted is None else adapted.std
         for i, segment in enumerate(flight.segments):
             x0 = adapted.x0 if adapted is not None and i == 0 else None
-            filtered = self.filter.run(_without(segment, flight.noncausal), p=p, x0=x0)
+            filtered = self.filter.run(segment.without(flight.noncausal), p=p, x0=x0)
             late = segment.t >= after - 1e-9
             late[: max(3, round(self.skip / segment.dt)) - 1] = False
             self.one_step.add(flight.name, filtered, late)
@@ -306,14 +306,6 @@ class _Work:
             coverage=self.one_step.coverage(), adapted_seconds=self.adapt, adaptation=self.adaptation,
             warnings=tuple(self.warnings),
         )  # fmt: skip
-
-
-def _without(segment: Segment, names: Collection[str]) -> Segment:
-    """The segment without these channels: neither the filter nor its start may see them."""
-    return Segment(
-        t=segment.t, channels={n: v for n, v in segment.channels.items() if n not in names}, flight=segment.flight,
-        extra=segment.extra,
-    )  # fmt: skip
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:

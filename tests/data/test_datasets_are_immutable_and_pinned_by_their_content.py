@@ -135,3 +135,14 @@ def test_channel_catalogue():
         channel("gyro_x")
     with pytest.raises(UnknownNameError):
         group_names("rates")
+
+
+def test_a_cut_segment_remembers_what_was_before():
+    (whole,) = next(iter(made())).segments
+    cut = whole.rows(50, 90)
+    assert dict(whole.earlier) == {}
+    assert np.array_equal(cut.earlier["p"], np.sin(T[30:50]))
+    assert np.array_equal(cut.replace({"q": np.zeros(40)}).earlier["p"], cut.earlier["p"])
+    assert "p" not in cut.without(["p"]).earlier
+    assert np.array_equal(pickle.loads(pickle.dumps(cut)).earlier["u1"], np.full(20, 0.5))
+    assert np.array_equal(cut.rows(0, 10).earlier["p"], cut.earlier["p"])

@@ -212,11 +212,19 @@ def test_a_late_imu_is_right_to_first_order_of_its_delay():
 
 
 def test_a_late_imu_on_rotors_without_lag():
-    """The gyro is as good; the accelerometer sees commands by the straight line between them, not their jumps."""
-    ((one, change),) = delayed_errors({}, "sensor_delay", (DT,))
-    assert max(one[c] / change[c] for c in "pqr") < 0.03
-    for c in ("ax", "ay", "az"):
-        assert one[c] < 0.5 * change[c]
+    """The gyro goes back by the mean of the commands since then, the accelerometer sees the command of that instant."""
+    for one, change in delayed_errors({}, "sensor_delay", (0.4 * DT, DT, 1.3 * DT, 2 * DT)):
+        for c in ("p", "q", "r", "ax", "ay", "az"):
+            assert one[c] < 0.03 * change[c], c
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4, 0.9])
+def test_a_delay_of_a_fraction_of_a_sample_without_lag(share):
+    """Commands change within a step, and an instant shows the one that is in force. Thrust, the square of a rotor speed
+    that jumps, follows the straight line with its mean and first moment."""
+    ((one, change),) = delayed_errors({}, "command_delay", ((1 + share) * DT,))
+    for c in one:
+        assert one[c] < (0.01 if c in ("ax", "ay", "az") else 0.05) * change[c] or one[c] < 1e-6, c
 
 
 @pytest.mark.parametrize("others", [{}, {"motor_lag": {"tau": 0.04}}, {"command_delay": {"d": 1.4 * DT}}])

@@ -18,7 +18,7 @@ class CommandDelay(Effect):
     summary = "transport delay between the logged command and the motors"
     formula = "u_eff(t) = u(t - d)"
     references = ("Ljung 1999, System Identification: Theory for the User, sec. 4.2 (input delay)",)
-    validity = "0 .. the model's longest delay; the mean of the held command over the step is exact"
+    validity = "0 .. the model's longest delay; of a held command mean and first moment over the step are exact"
     early = frozenset({"delay"})
     case = ReferenceCase(
         parameters={"d": 0.02}, flow={}, expected={"delay": 0.02}, working="the delay is the parameter itself"

@@ -14,9 +14,9 @@ class SensorDelay(Effect):
     """Gyro and accelerometer report the instant t - d; pose, velocity and commands are those of t.
 
     The model goes back from x(t) by one straight step, x(t - d) = x - d dx/dt, and lets both sensors read there: the
-    gyro shows omega - d domega/dt, the accelerometer the specific force of the earlier state, with the rotor speeds of
-    the commands d earlier. Errors are of second order: d^2/2 times the second derivative of the state. Rotors without
-    lag jump with the command; their reading follows the straight line between the commands on both sides of t - d.
+    gyro shows omega - d domega/dt with the mean of the commands since then, the accelerometer the specific force of the
+    earlier state, with the rotor speeds of the command in force d earlier. Errors are of second order: d^2/2 times the
+    second derivative of the state.
 
     It is not pose_delay with the other sign: there commands stay with the IMU, here they stay with the pose. A delay
     common to IMU and pose is command_delay.

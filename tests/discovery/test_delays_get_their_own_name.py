@@ -1,0 +1,46 @@
+"""A delay that is no whole number of samples is called what it is, and the start of a log, whose earlier commands nobody
+knows, is no evidence for rotors that lag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import greybox.discovery.candidates
+from greybox.discovery.workflow import discover
+from greybox.estimation.engine import engine_for
+from greybox.estimation.record import make_record
+from greybox.model.effects import CATALOGUE
+from greybox.model.model import build_model
+from scenarios.plants.effects import CommandDelay, PlantEffect, PoseDelay, SensorDelay
+from tests.discovery.small_world import flown, vehicle
+
+TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def timing() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(greybox.discovery.candidates, "CATALOGUE", tuple(e for e in CATALOGUE if e.name in TIMING))
+        yield
+
+
+@pytest.mark.parametrize("hidden", [CommandDelay(d=0.013), SensorDelay(d=0.013), PoseDelay(d=0.004)])
+def test_a_delay_of_a_fraction_of_a_sample(hidden: PlantEffect):
+    found = discover(vehicle(), flown(hidden, seconds=6.0), flown(hidden, seeds=(11,), name="test"))
+    ((name, parameters),) = [(e["name"], e["parameters"]) for e in found.effects()]
+    assert name == hidden.name
+    assert not any(a.rivals for a in found.additions)
+    d = parameters["d"]
+    assert abs(d["value"] - next(iter(hidden.parameters().values()))) < 4 * d["std"] < 4e-4
+
+
+def test_commands_before_a_cut_are_used():
+    (segment,) = next(iter(flown(CommandDelay(d=0.013)))).segments
+    model = build_model(vehicle(), segment.names, [e for e in CATALOGUE if e.name == "command_delay"], sample_time=0.01)
+    engine = engine_for(model, ())
+    whole, cut = (make_record(engine, s).inputs for s in (segment, segment.rows(50, segment.n)))
+    assert engine.past > 0
+    assert np.array_equal(whole[50:], cut)
