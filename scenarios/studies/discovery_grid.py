@@ -47,6 +47,7 @@ from scenarios.studies.discovery_cells import (
     nominal,
     vehicle_of,
 )
+from scenarios.studies.discovery_oracle import oracle
 from scenarios.studies.discovery_summary import summary, write_docs
 from scenarios.studies.rows import append_row, read_rows
 
@@ -80,12 +81,16 @@ def run(cell: Cell, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
     for seed, plant, size, train, test in flown(cell, seeds):
         row: dict[str, Any] = cell.to_dict() | {"seed": seed, "kind": cell.kind, "in_noise": size}
         row["truth"] = {k: float(v) for e in plant.effects for k, v in e.parameters().items()}
+        said = nominal(plant, cell.nominal, seed)
         try:
-            found = discover(nominal(plant, cell.nominal, seed), train, test)
+            found = discover(said, train, test)
+            row |= _outcome(found, cell.hidden)
+            if cell.hidden and found.final is not None:
+                grouped = {n for a in found.additions for n in a.rivals}
+                row["oracle"] = oracle(said, train, test, row["truth"], found.final, sorted(grouped))
         except GreyboxError as error:
-            yield row | {"judged": "failed", "error": str(error)}
-            continue
-        yield row | _outcome(found, cell.hidden)
+            row |= {"judged": "failed", "error": str(error)}
+        yield row
 
 
 def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
