@@ -6,6 +6,7 @@ CasADi has no type stubs; `Expr` stands for an SX or MX expression everywhere el
 from __future__ import annotations
 
 import functools
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,8 @@ from greybox.errors import ModelError, UnknownNameError
 Expr = Any
 CHUNK = 1024
 """Samples that one call of a mapped function takes."""
+CASADI = threading.RLock()
+"""Held by whoever uses CasADi where other threads may: its reference counts and caches do not stand two at once."""
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 

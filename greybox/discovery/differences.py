@@ -155,7 +155,7 @@ class _Runner:
             else ()
         )
         d = np.array([moved.get(n, 0.0) for n in self.large.error_states.names])
-        return np.asarray(self.engine.move(self.records[i].x0, d).full()).ravel()
+        return self.engine.moved(self.records[i].x0, d)[0]
 
     def riccati(self, p: FloatArray) -> Riccati:
         """Stationary filter at the parameters p."""

@@ -35,7 +35,7 @@ from greybox.estimation.status import Code, Status
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel
 from greybox.model.sensor_noise import SensorNoise
-from greybox.symbolic import FloatArray
+from greybox.symbolic import CASADI, FloatArray
 
 BLOCK_SECONDS = 0.5
 """Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
@@ -171,8 +171,10 @@ def _canonical(model: Any) -> Any:
 
 def _prepare(task: Task, data: Dataset) -> None:
     """Build the step that the task needs."""
-    model = _canonical(task.model)
-    engine_for(model, tuple(d.name for d in model.parameters if d.name in task.free), quick=few_samples(data))
+    with CASADI:
+        model = _canonical(task.model)
+        free = tuple(d.name for d in model.parameters if d.name in task.free)
+    engine_for(model, free, quick=few_samples(data))
 
 
 def solve(task: Task, data: Dataset) -> Refit:

@@ -22,7 +22,7 @@ from greybox.errors import UnknownNameError
 from greybox.estimation import lanes
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build, compiler
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import Expr, FloatArray
+from greybox.symbolic import CASADI, Expr, FloatArray
 
 IntArray = npt.NDArray[np.int32]
 
@@ -109,17 +109,18 @@ class Engine:
         sensitive: bool = True,
         quick: bool = False,
     ) -> None:
-        self.dynamics = dynamics
-        self.active = active
-        self.sensitive = sensitive
-        self.nx, self.nd = len(dynamics.states), len(dynamics.error_states)
-        self.ne, self.ny, self.nu = len(dynamics.innovations), len(dynamics.outputs), len(dynamics.inputs)
-        self.past, self.future = dynamics.window
-        names = [p.name for p in dynamics.parameters]
-        self.active_index = np.array([names.index(a) for a in active], dtype=int)
-        self._place: IntArray | None = None
-        self.built, self.columns = active, np.arange(len(active))
-        self._functions()
+        with CASADI:
+            self.dynamics = dynamics
+            self.active = active
+            self.sensitive = sensitive
+            self.nx, self.nd = len(dynamics.states), len(dynamics.error_states)
+            self.ne, self.ny, self.nu = len(dynamics.innovations), len(dynamics.outputs), len(dynamics.inputs)
+            self.past, self.future = dynamics.window
+            names = [p.name for p in dynamics.parameters]
+            self.active_index = np.array([names.index(a) for a in active], dtype=int)
+            self._place: IntArray | None = None
+            self.built, self.columns = active, np.arange(len(active))
+            self._functions()
         self._library: Any = None
         if use_compiler and compiler() is not None:
             self._compile(quick)
@@ -184,14 +185,16 @@ class Engine:
 
     def _compile(self, quick: bool) -> None:
         text = {}
-        for name, functions in {
-            "gb_model": (self.value, self.pred, self.move),
-            "gb_slopes": (self.slope, self.turn),
-        }.items():
-            generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
-            for f in functions:
-                generator.add(f)
-            text[name] = generator.dump()
+        with CASADI:
+            for name, functions in {
+                "gb_model": (self.value, self.pred, self.move),
+                "gb_slopes": (self.slope, self.turn),
+            }.items():
+                generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
+                for f in functions:
+                    generator.add(f)
+                text[name] = generator.dump()
+                del generator
         driver = resources.files("greybox.estimation").joinpath("driver.c").read_text()
         path = build(
             [
@@ -208,6 +211,12 @@ class Engine:
         library.gb_sizes(*(ctypes.byref(v) for v in sizes))
         self._work = [v.value for v in sizes]
         self._library = library
+
+    def moved(self, x: FloatArray, d: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """x (n_x,) moved by an error d (n_d,), and the derivative in d, (n_d, n_d), in the chart of the moved state."""
+        with CASADI:
+            state, _, slope = self.inject(x, d)
+            return np.asarray(state.full()).ravel(), np.asarray(slope.full())
 
     def padded_inputs(self, u: FloatArray, earlier: FloatArray | None = None) -> FloatArray:
         """Record of commands (n, n_u) with what the window sees besides: (n + past + future, n_u).

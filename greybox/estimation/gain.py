@@ -29,7 +29,7 @@ from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.record import UNSURE, Record
 from greybox.model.dynamics import Dynamics
-from greybox.symbolic import FloatArray
+from greybox.symbolic import CASADI, FloatArray
 
 
 class Linearisation:
@@ -74,13 +74,16 @@ class Linearisation:
         self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """((A, G, C, D), (dA, dG, dC, dD)); derivatives have the active parameter as first axis."""
-        value, slope = self._function(x, window, p, dt)
-        slopes = slope.full() if self._columns is None else slope.full()[:, self._columns]
-        return self._unpack(value.full()[:, 0][:, None], False), self._unpack(slopes, True)
+        with CASADI:
+            value, slope = (v.full() for v in self._function(x, window, p, dt))
+        slopes = slope if self._columns is None else slope[:, self._columns]
+        return self._unpack(value[:, 0][:, None], False), self._unpack(slopes, True)
 
     def values(self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
-        return self._unpack(self._value_only(x, window, p, dt).full(), False)
+        with CASADI:
+            value = self._value_only(x, window, p, dt).full()
+        return self._unpack(value, False)
 
     def _unpack(self, columns: Any, many: bool) -> tuple[FloatArray, ...]:
         out, at = [], 0

@@ -222,8 +222,7 @@ class Problem:
     def initial_state(self, theta: FloatArray, record_index: int) -> FloatArray:
         """x0 of a record: its measured start moved by the initial error state."""
         d = theta[self.initial_columns(record_index)]
-        moved, _, _ = self.engine.inject(self.records[record_index].x0, d)
-        return np.asarray(moved.full()).ravel()
+        return self.engine.moved(self.records[record_index].x0, d)[0]
 
     # ------------------------------------------------------------ cost
 

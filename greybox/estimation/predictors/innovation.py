@@ -111,8 +111,7 @@ class Innovation:
                 s = np.zeros((engine.nd, ns))
                 if free_start:
                     # Derivative of the moved start in its own chart (identity to first order in the small move).
-                    _, _, j2 = engine.inject(record.x0, theta[problem.initial_columns(i)])
-                    s[:, ns - nd :] = j2.full()
+                    s[:, ns - nd :] = engine.moved(record.x0, theta[problem.initial_columns(i)])[1]
             columns = [problem.local_columns(record.flight), noise_columns]
             if free_start:
                 columns.append(problem.initial_columns(i))

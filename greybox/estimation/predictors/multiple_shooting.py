@@ -32,7 +32,7 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import Simulation, start_of
 from greybox.estimation.problem import Block, IndexArray, Problem
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
-from greybox.symbolic import FloatArray
+from greybox.symbolic import CASADI, FloatArray
 
 Progress = Callable[[int, float, float], None]
 
@@ -174,7 +174,8 @@ def _part(problem: Problem, theta: FloatArray, i: int, windows: _Windows) -> _Pa
     difference = problem.state["difference"]
     gaps = np.zeros((m - 1, nd))
     if m > 1:
-        gaps = np.asarray(difference(run.ends[:-1].T, windows.starts[1:].T).full()).T  # type: ignore[operator]
+        with CASADI:
+            gaps = np.asarray(difference(run.ends[:-1].T, windows.starts[1:].T).full()).T  # type: ignore[operator]
     shift, slope = np.zeros((m, nd)), np.zeros((m, nd, s0.shape[1]))
     slope[0] = s0
     for k in range(m - 1):
@@ -202,7 +203,7 @@ def _moved(problem: Problem, windows: _Windows, part: _Part, step: FloatArray) -
     move = part.shift + part.slope @ step[part.block.columns]
     starts = windows.starts.copy()
     for k in range(1, len(starts)):
-        starts[k] = np.asarray(problem.engine.inject(windows.starts[k], move[k])[0].full()).ravel()
+        starts[k] = problem.engine.moved(windows.starts[k], move[k])[0]
     return _Windows(rows=windows.rows, lengths=windows.lengths, starts=starts)
 
 

@@ -65,7 +65,7 @@ def start_of(
     if not problem.state["estimate_initial"]:
         return record.x0, np.zeros((engine.nd, na)), columns
     own = problem.initial_columns(record_index)
-    moved, _, j2 = engine.inject(record.x0, theta[own])
+    moved, slope = engine.moved(record.x0, theta[own])
     s0 = np.zeros((engine.nd, na + engine.nd))
-    s0[:, na:] = j2.full()
-    return np.asarray(moved.full()).ravel(), s0, np.concatenate([columns, own])
+    s0[:, na:] = slope
+    return moved, s0, np.concatenate([columns, own])
