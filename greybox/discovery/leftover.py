@@ -1,16 +1,16 @@
 """Leftover: is what remains structured, what does it depend on, and can it be written down?
 
 Force and torque are promoted to Gauss-Markov states (Kristensen, Madsen and Jorgensen 2004); a group whose states improve
-BIC clearly is deficient, and an axis whose likelihood falls clearly when its state is taken away. The smoothed
-discrepancy of each axis is regressed on a small library (greybox.discovery.terms): forward selection on random halves of
-the flights' stretches, terms that are chosen most of the time stay (stability selection, Meinshausen and Buhlmann 2010,
-JRSS B 72(4)), and the share that they explain on flights that were left out (stretches, of a single flight) says whether
-there is a law. What is deficient but follows no signal of the model is said to be that.
+BIC clearly is deficient, and an axis whose likelihood falls clearly when its state is taken away. What the terms of a
+small library (greybox.discovery.terms) on all deficient axes would have done to the innovations (responses) is held
+against these; terms that are stable and help on flights that were left out (selection) are the law, next to what the
+rotors' own coefficients can do, which the fit bent. The share of the smoothed discrepancy that they explain on flights that
+were left out (stretches, of a single flight) says whether there is a law. What is deficient but follows no signal of the
+model is said to be that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,17 +18,19 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.discovery.regimes import Regime, regimes
-from greybox.discovery.terms import Term, terms, wanted_features
+from greybox.discovery.responses import Library, library
+from greybox.discovery.selection import left_out, select, solve
+from greybox.discovery.terms import wanted_features
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.residual.discrepancy import GROUPS, discrepancy
-from greybox.symbolic import FloatArray
 
 SHARE = 0.25
 """Share of the smoothed discrepancy that terms must explain on left-out stretches to be called a law."""
-STABLE = 0.7
-"""Share of the halves in which a term must be chosen."""
-TERMS, HALVES, STRETCHES = 3, 30, 10
+TERMS = 6
+"""Terms of an axis, at most."""
+OWN = {"force.z": "rotors.thrust", "torque.x": "rotors.roll", "torque.y": "rotors.pitch", "torque.z": "rotors.yaw"}
+"""Axis -> the term that is what a wrong rotor coefficient or inertia leaves."""
 CLEAR = 10.0
 TOLERANCE = 1e-2
 """Log likelihood at which the fit of the disturbance states stops: levels that run to zero never quite get there."""
@@ -36,6 +38,7 @@ STRONG = 60.0
 """Gain above which an axis counts as deficient although no law was found."""
 SILENT = 12.0
 """By how much the logarithm of a level falls when its state is taken away."""
+NO_LAW: dict[str, Any] = {"share": 0.0, "terms": {}, "depends_on": ()}
 LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
 """By how much the logarithm of the white noise is tried to rise in its place."""
 
@@ -112,15 +115,39 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
     # Physics is held here and was free there: its parameters count once, on both sides.
     gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     gains = axis_gains(result, gain)
-    vehicle = found.model.physics.vehicle
+    wanted = [c.name for c in seen.outputs if gains[c.name] > CLEAR] if gain > CLEAR else []
+    laws = laws_of(library(found.model, result.model, data, names, wanted), result.n_samples, seed) if wanted else {}
     axes = tuple(
-        _law(
-            channel.name, channel.unit, terms(channel.name, names, seen.z, vehicle), seen.y[:, j], seen.flights, seed,
-            gains[channel.name],
+        Leftover(
+            channel=c.name, unit=c.unit, rms=float(np.sqrt(np.mean((seen.y[:, j] - seen.y[:, j].mean()) ** 2))),
+            gain=gains[c.name], **laws.get(c.name, NO_LAW),
         )
-        for j, channel in enumerate(seen.outputs)
+        for j, c in enumerate(seen.outputs)
     )  # fmt: skip
     return Promoted(fit=result, gain=gain, axes=axes, regimes=regimes(seen, names))
+
+
+def laws_of(offered: Library, samples: int, seed: int) -> dict[str, dict[str, Any]]:
+    """Axis -> `share`, `terms`, `depends_on` and `codes` of its law, for axes that have one."""
+    labels = [axis for axis, _ in offered.columns]
+    own = [i for i, (axis, t) in enumerate(offered.columns) if OWN.get(axis) == t.text]
+    kept = select(offered.innovations, own, labels, most=TERMS, samples=samples, seed=seed)
+    total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
+    c = dict(zip([*own, *kept], solve(*total, [*own, *kept]).tolist(), strict=True)) if kept else {}
+    out: dict[str, dict[str, Any]] = {}
+    for axis, normal in offered.smoothed.items():
+        mine = [i for i in kept if labels[i] == axis]
+        if not mine:
+            continue
+        used = [offered.columns[i][1] for i in mine]
+        base = [i for i in own if labels[i] == axis] + [len(labels)]
+        without = left_out(normal, base)
+        out[axis] = {
+            "share": (left_out(normal, [*base, *mine]) - without) / (float(normal.yy.sum()) - without),
+            "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)}, "codes": tuple(t.code for t in used),
+            "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
+        }  # fmt: skip
+    return out
 
 
 def axis_gains(result: Fit, total: float) -> dict[str, float]:
@@ -150,92 +177,3 @@ def axis_gains(result: Fit, total: float) -> dict[str, float]:
 
 def _states(result: Fit) -> int:
     return sum(n.startswith("disturbance") for n in result.model.dynamics.noises.names) + len(result.parameters)
-
-
-def _law(
-    channel: str, unit: str, library: Sequence[Term], y: FloatArray, flights: Sequence[str], seed: int, gain: float = 0.0
-) -> Leftover:  # fmt: skip
-    y = y - y.mean()
-    rms = float(np.sqrt(np.mean(y * y)))
-    none = Leftover(channel=channel, unit=unit, rms=rms, share=0.0, terms={}, depends_on=(), gain=gain)
-    raw = np.column_stack([t.values for t in library])
-    spread = raw.std(axis=0)
-    keep = np.flatnonzero(spread > 1e-9 * np.maximum(np.abs(raw).max(axis=0), 1e-12))
-    x = (raw[:, keep] - raw[:, keep].mean(axis=0)) / spread[keep]
-    stretch = _stretches(flights)
-    labels = np.unique(stretch)
-    if rms == 0 or labels.size < 4 or not keep.size:
-        return none
-    rng = np.random.default_rng(seed)
-    counts = np.zeros(x.shape[1])
-    for _ in range(HALVES):
-        half = np.isin(stretch, rng.choice(labels, labels.size // 2, replace=False))
-        counts[_forward(x[half], y[half])] += 1
-    stable = np.flatnonzero(counts >= STABLE * HALVES)
-    stable = stable[np.argsort(-counts[stable], kind="stable")][:TERMS]
-    if not stable.size:
-        return none
-    c = np.linalg.lstsq(x[:, stable], y, rcond=None)[0]
-    used = [library[keep[i]] for i in stable]
-    return Leftover(
-        channel=channel, unit=unit, rms=rms, share=_share(x[:, stable], y, stretch, flights), gain=gain,
-        terms={t.text: float(v / spread[keep[i]]) for t, i, v in zip(used, stable, c, strict=True)},
-        depends_on=tuple(dict.fromkeys(n for t in used for n in t.uses)), codes=tuple(t.code for t in used),
-    )  # fmt: skip
-
-
-def _share(x: FloatArray, y: FloatArray, stretch: Any, flights: Sequence[str]) -> float:
-    """Share of the variance of y explained on flights that were left out (on stretches, where there is one flight).
-
-    Neighbouring stretches of a flight share slow signals; other flights do not.
-    """
-    names = np.asarray(flights)
-    label = names if len(set(flights)) > 1 else stretch
-    left, error = 0.0, 0.0
-    for s in np.unique(label):
-        out = label == s
-        c = np.linalg.lstsq(x[~out], y[~out], rcond=None)[0]
-        error += float(((y[out] - x[out] @ c) ** 2).sum())
-        left += float((y[out] ** 2).sum())
-    return 1 - error / left
-
-
-def _stretches(flights: Sequence[str]) -> Any:
-    """Number of the stretch of every row: each flight in equal parts along its time, about `STRETCHES` in all."""
-    names = np.asarray(flights)
-    out, base = np.zeros(len(names), dtype=int), 0
-    each = max(2, -(-STRETCHES // max(len(set(flights)), 1)))
-    for n in dict.fromkeys(flights):
-        rows = np.flatnonzero(names == n)
-        out[rows] = base + np.arange(rows.size) * each // max(rows.size, 1)
-        base += each
-    return out
-
-
-def _forward(x: FloatArray, y: FloatArray) -> list[int]:
-    """Up to `TERMS` columns, each the one that leaves least, while BIC falls.
-
-    Orthogonal least squares (Chen, Billings and Luo 1989, International Journal of Control 50(5)): a column counts by
-    what it adds to those chosen before, so that v |v| is found next to v.
-    """
-    chosen: list[int] = []
-    n = len(y)
-    residual, best = y, n * np.log(np.mean(y * y) + 1e-300)
-    size = (x * x).sum(axis=0)
-    rest = x
-    for _ in range(TERMS):
-        left = (rest * rest).sum(axis=0)
-        free = left > 1e-6 * size
-        gains = np.where(free, (rest.T @ residual) ** 2 / np.where(free, left, 1.0), -1.0)
-        gains[chosen] = -1
-        j = int(gains.argmax())
-        trial = [*chosen, j]
-        c = np.linalg.lstsq(x[:, trial], y, rcond=None)[0]
-        error = y - x[:, trial] @ c
-        value = n * np.log(np.mean(error * error) + 1e-300) + len(trial) * np.log(n)
-        if value >= best:
-            break
-        chosen, residual, best = trial, error, value
-        basis = np.linalg.qr(x[:, trial])[0]
-        rest = x - basis @ (basis.T @ x)
-    return chosen

@@ -100,7 +100,7 @@ def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: 
     what is not far behind; `gaps`: rival -> BIC behind."""
     timing = next((g for g in LOOK_ALIKES if set(new) <= set(g)), ())
     times = [abs(v) for (n, _), v in found.theta.items() if n.split(".")[0] in new]
-    if len(new) != 1 or not timing or max(times) >= SHORT * nest.candidates.model.sample_time:
+    if len(new) != 1 or not timing or max(times, default=np.inf) >= SHORT * nest.candidates.model.sample_time:
         return {}
     pair = next((p for p in TOGETHER if new[0] in p), ())
     near = [n for n, g in gaps.items() if g < (ROOM if n in timing else CLEAR)]

@@ -74,6 +74,8 @@ def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -
     for a, b in itertools.combinations(signals, 2):
         if (a.kind, b.kind) in PAIRS or (b.kind, a.kind) in PAIRS:
             out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
+        if a.kind == "tilt" and b.name == "height":
+            out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
         if (a.kind, b.kind) == ("heading", "place"):
             code = f"{a.code} * {b.code} ** 2"
             out.append(_term(f"{a.name} {b.name}^2", code, (a.name, b.name), a.values * b.values**2))

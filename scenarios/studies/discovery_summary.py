@@ -20,6 +20,8 @@ from scenarios.studies.rows import wilson
 
 Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
+CLEAR = 10.0
+"""BIC difference that counts, as in the search."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
 
@@ -97,6 +99,42 @@ def recall(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def against_oracle(rows: Sequence[Row]) -> list[str]:
+    """Lines: verdicts where the search could have known (discovery_oracle), and what it closed of what can be closed."""
+    lines = [
+        "| cell | the oracle gains over 10 | of these right | group, tied with the oracle | group, not tied | silent "
+        "| no power | of these silent | share of the oracle's gap closed at 0.5 s: median, worst (logs) |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for label, members in _grouped([r for r in rows if r.get("oracle")], _label).items():
+        power = [r for r in members if r["oracle"]["gain"] is not None and r["oracle"]["gain"] > CLEAR]
+        c = Counter(r["judged"] for r in power)
+        groups = [r["oracle"]["rivals"].values() for r in power if r["judged"] == "group"]
+        tied = sum(min(g, default=np.inf) < CLEAR for g in groups)
+        weak = [r for r in members if r not in power]
+        closed = [r["oracle"]["closed"] for r in power if r["judged"] == "right" and r["oracle"]["closed"] is not None]
+        share = f"{np.median(closed):.4f}, {min(closed):.4f} ({len(closed)})" if closed else "-"
+        lines.append(
+            f"| {' '.join(label)} | {len(power)} | {_share(c['right'], len(power))} | {tied} | {len(groups) - tied} | "
+            f"{c['silent']} | {len(weak)} | {sum(r['judged'] == 'silent' for r in weak)} | {share} |"
+        )
+    return lines if len(lines) > 2 else []
+
+
+def ties(rows: Sequence[Row]) -> list[str]:
+    """Lines: the groups that hold the truth, with the BIC of each rival less the oracle's; silences with power."""
+    lines = []
+    for r in rows:
+        if not r.get("oracle"):
+            continue
+        where = f"{' '.join(_label(r))} {r['seed']} {'+'.join(r['hidden'])}"
+        if r["judged"] == "group":
+            lines.append(f"{where}: group: " + ", ".join(f"{n} {v:+.1f}" for n, v in r["oracle"]["rivals"].items()))
+        elif r["judged"] == "silent" and (r["oracle"]["gain"] or 0.0) > CLEAR:
+            lines.append(f"{where}: silent: oracle {r['oracle']['gain']:.1f}")
+    return lines
+
+
 def parameters(rows: Sequence[Row]) -> list[str]:
     """Lines: relative errors of right names and coverage of their intervals."""
     errors: dict[str, list[float]] = defaultdict(list)
@@ -168,7 +206,10 @@ def summary(rows: Sequence[Row]) -> str:
         f"{h}: " + ", ".join(f"{columns[j]} {counts[i, j]}" for j in np.flatnonzero(counts[i]))
         for i, h in enumerate(hidden)
     ]
-    parts = [rates(rows), clean_rates(rows), recall(rows), parameters(rows), gap_and_time(rows), matrix, troubles(rows)]
+    parts = [
+        rates(rows), clean_rates(rows), against_oracle(rows), recall(rows), parameters(rows), gap_and_time(rows), matrix,
+        ties(rows), troubles(rows),
+    ]  # fmt: skip
     return "\n\n".join("\n".join(p) for p in parts if p)
 
 
@@ -179,9 +220,14 @@ def write_docs(rows: Sequence[Row], folder: Path) -> None:
         "# Discovery: what the grid says", "",
         f"Written by `python -m scenarios.studies.discovery_grid --summary --docs docs`; {len(rows)} logs with seeds from "
         f"{JUDGING} on, which nothing was tuned on. Shares with 95 % Wilson intervals.", "",
-        *rates(rows), "", *clean_rates(rows), "", *(f"- {x}" for x in recall(rows)), "", *parameters(rows), "",
+        *rates(rows), "", *clean_rates(rows), "",
+        "The oracle is the model that is told the hidden effects, fitted to the same flights; where its BIC is not better",
+        "by more than 10, the flights hardly show them.", "", *against_oracle(rows), "",
+        *(f"- {x}" for x in recall(rows)), "", *parameters(rows), "",
         *(f"- {x}" for x in gap_and_time(rows)), "", "## Every false name", "",
         *([f"- {x}" for x in troubles(rows)] or ["None."]), "",
+        "## Groups that hold the truth (BIC of the rival less the oracle's), and silences with power", "",
+        *([f"- {x}" for x in ties(rows)] or ["None."]), "",
         "![confusion matrix](images/discovery_confusion.svg)", "", "![power](images/discovery_power.svg)", "",
     ]  # fmt: skip
     write_atomic(folder / "discovery_results.md", "\n".join(text))

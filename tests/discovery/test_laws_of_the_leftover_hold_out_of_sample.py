@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from greybox.discovery.leftover import SHARE, Leftover, _law
+from greybox.discovery.candidates import candidates
+from greybox.discovery.leftover import NO_LAW, SHARE, Leftover, laws_of
+from greybox.discovery.nested import Nest
+from greybox.discovery.responses import Library, Normal, responses, stretches
+from greybox.discovery.selection import forward, left_out, select, solve
 from greybox.discovery.terms import terms
-from tests.discovery.small_world import vehicle
+from greybox.estimation.filtering import Filter
+from greybox.estimation.gain import Linearisation
+from greybox.frames import numeric
+from tests.discovery.small_world import flown, vehicle
 
 NAMES = (
     "body_velocity.x", "body_velocity.y", "p", "q", "position.z",
@@ -28,7 +37,21 @@ def signals(n: int = 400, seed: int = 0) -> tuple[np.ndarray, tuple[str, ...]]:
 
 
 def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -> Leftover:
-    return _law("torque.z", "N m", terms("torque.z", NAMES, z, vehicle()), y, flights, seed)
+    """The law of a torque that is seen as it is, in noise of its own size."""
+    columns = [("torque.z", t) for t in terms("torque.z", NAMES, z, vehicle())]
+    x = np.column_stack([t.values for _, t in columns])
+    size = max(float(y.std()), 1e-12)
+    parts, owners = [], []
+    for name in dict.fromkeys(flights):
+        begin, n = flights.index(name), flights.count(name)
+        for part in stretches(n, len(set(flights))):
+            parts.append(slice(begin + part.start, begin + part.stop))
+            owners.append(name)
+    seen = Normal.of([(x[p] - x.mean(0)) / size for p in parts], [(y[p] - y.mean()) / size for p in parts], owners)
+    whole = Normal.of([np.column_stack([x[p], np.ones(len(x[p]))]) for p in parts], [y[p] for p in parts], owners)
+    found = laws_of(Library(columns=columns, innovations=seen, smoothed={"torque.z": whole}), len(y), seed)
+    rms = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
+    return Leftover(channel="torque.z", unit="N m", rms=rms, **found.get("torque.z", NO_LAW))
 
 
 def column(z: np.ndarray, name: str) -> np.ndarray:
@@ -90,3 +113,67 @@ def test_the_same_seed_gives_the_same_law():
     z, flights = signals()
     y = column(z, "q") + np.random.default_rng(3).standard_normal(len(z))
     assert law(y, z, flights, 5).to_dict() == law(y, z, flights, 5).to_dict()
+
+
+def problem(n: int = 400, seed: int = 0) -> tuple[Normal, np.ndarray, np.ndarray]:
+    """Normal equations of two flights, y = 2 x_1 - x_4 + noise, x_0 nearly x_1."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((n, 6))
+    x[:, 0] = x[:, 1] + 0.1 * x[:, 0]
+    y = 2 * x[:, 1] - x[:, 4] + rng.standard_normal(n)
+    parts = [slice(i, i + n // 10) for i in range(0, n, n // 10)]
+    return Normal.of([x[p] for p in parts], [y[p] for p in parts], ["a"] * 5 + ["b"] * 5), x, y
+
+
+def test_selection_is_least_squares_on_the_columns_that_matter():
+    normal, x, y = problem()
+    kept = select(normal, [], ["a"] * 6, most=3, samples=len(y), seed=0)
+    assert set(kept) == {1, 4}
+    direct = np.linalg.lstsq(x[:, kept], y, rcond=None)[0]
+    assert solve(normal.xx.sum(0), normal.xy.sum(0), kept) == pytest.approx(direct, rel=1e-6)
+
+
+def test_left_out_gain_is_what_it_says():
+    normal, x, y = problem()
+    total = 0.0
+    for train, test in ((slice(0, 200), slice(200, 400)), (slice(200, 400), slice(0, 200))):
+        c = np.linalg.lstsq(x[train][:, [1, 4]], y[train], rcond=None)[0]
+        total += float((y[test] ** 2).sum() - ((y[test] - x[test][:, [1, 4]] @ c) ** 2).sum())
+    assert left_out(normal, [1, 4]) == pytest.approx(total, rel=1e-6)
+
+
+def test_what_is_always_in_is_not_chosen_again_and_explains_first():
+    normal, _, _ = problem()
+    xx, xy = normal.xx.sum(0), normal.xy.sum(0)
+    assert forward(xx, xy, [1], ["a"] * 6, 3, 20.0) == [4]
+    assert forward(xx, xy, [], ["a"] * 6, 1, 20.0) == [1]
+    assert forward(xx, xy, [1, 4], ["a"] * 6, 3, 20.0) == []
+
+
+def test_responses_are_what_a_force_does_to_the_innovations():
+    """Against the filter itself, its model pushed by a small constant force."""
+    data = flown(seconds=3.0)
+    (segment,) = next(iter(data)).segments
+    nest = Nest(candidates=candidates(vehicle(), data.channels, sample_time=0.01), data=data)
+    model = nest.refit(("constant_force",)).fit.model
+    runner = Filter(model)
+    p = model.flight_vector(segment.flight)
+    moved = p.copy()
+    names = [d.name for d in model.dynamics.parameters]
+    places = [model.dynamics.noises[f"force.{a}"] for a in "xyz"]
+    for j, axis in enumerate("xyz"):
+        moved[:] = p
+        moved[names.index(f"constant_force.f_{axis}")] -= 1e-3
+        run, less = runner.run(segment, p=p), runner.run(segment, p=moved)
+        q = run.states[:, [model.dynamics.states.names.index(f"attitude.{c}") for c in "wxyz"]]
+        world = np.zeros((segment.n, 3))
+        world[:, j] = 1e-3
+        lin, pushes = Linearisation(model.dynamics, ()), numeric("rotate_inverse", q, world)
+        change = (less.innovations - run.innovations) @ np.linalg.inv(np.linalg.cholesky(run.covariance[0])).T
+        # The change on the sum of the three columns is a regression with coefficient one.
+        moved_run = replace(run, innovations=less.innovations - run.innovations)
+        (pushed,) = responses(runner, lin, moved_run, pushes, places, [slice(0, segment.n)])
+        xx, xy, yy = pushed.xx[0].sum(), pushed.xy[0].sum(), pushed.yy[0]
+        assert yy == pytest.approx((change**2).sum(), rel=1e-9)
+        assert yy > 1e-3
+        assert yy - 2 * xy + xx < 1e-3 * yy

@@ -1,0 +1,145 @@
+"""Responses: what an unmodelled force or torque would have done to the innovations, and regression on that.
+
+A wrench w_k that acts through the process noise's channels moves the predicted state and with it the innovations,
+
+    d_{k+1} = (A_k - K C_k) d_k + (G_k - K D_k) w_k,    e_k = C_k d_k + D_k w_k,
+
+linear in w, along the flight that the filter saw. With disturbance states in the filter the innovations are nearly white
+although something is missing, and regression of the whitened innovations on whitened responses is the generalised least
+squares estimate of a law's coefficients, with the slow part that no law explains as coloured noise (Ljung 1999, sec. 7.6;
+Jazwinski 1970, ch. 8). It uses every sample, unlike regression on a smoothed disturbance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.discovery.terms import Term, terms
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.gain import Linearisation
+from greybox.estimation.smoothing import smooth
+from greybox.model.identified import IdentifiedModel
+from greybox.residual.discrepancy import feature_function
+from greybox.symbolic import FloatArray, evaluate
+
+STRETCHES = 10
+"""Parts into which the flights are cut, about."""
+SAMPLES = 100_000
+"""Samples that laws are sought in, the same number from the start of every segment."""
+CHUNK = 256
+"""Samples whose responses are kept at once."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Normal:
+    """Normal equations of a least squares problem, one block per stretch of flight: X'X (s, t, t), X'y (s, t), y'y (s,);
+    `flights` (s,) tells which flight a stretch belongs to."""
+
+    xx: FloatArray
+    xy: FloatArray
+    yy: FloatArray
+    flights: tuple[str, ...]
+
+    @staticmethod
+    def of(x: Sequence[FloatArray], y: Sequence[FloatArray], flights: Sequence[str]) -> Normal:
+        """From the rows of every stretch, (n, t) and (n,)."""
+        return Normal(
+            xx=np.array([a.T @ a for a in x]), xy=np.array([a.T @ b for a, b in zip(x, y, strict=True)]),
+            yy=np.array([b @ b for b in y]), flights=tuple(flights),
+        )  # fmt: skip
+
+    @staticmethod
+    def joined(blocks: Sequence[Normal], flights: Sequence[str]) -> Normal:
+        """Single blocks one after the other."""
+        xx, xy, yy = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("xx", "xy", "yy"))
+        return Normal(xx=xx, xy=xy, yy=yy, flights=tuple(flights))
+
+    def __add__(self, other: Normal) -> Normal:
+        """The rows of both, block by block."""
+        return replace(self, xx=self.xx + other.xx, xy=self.xy + other.xy, yy=self.yy + other.yy)
+
+
+def stretches(n: int, flights: int) -> list[slice]:
+    """One flight of n rows in equal parts, about `STRETCHES` in all `flights`."""
+    edges = np.linspace(0, n, max(2, -(-STRETCHES // max(flights, 1))) + 1).round().astype(int)
+    return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Library:
+    """Columns (axis and term), what they do to the whitened innovations, and how the smoothed disturbance of every axis
+    follows them; there the last column is a constant."""
+
+    columns: list[tuple[str, Term]]
+    innovations: Normal
+    smoothed: dict[str, Normal]
+
+
+def library(
+    model: IdentifiedModel, disturbed: IdentifiedModel, data: Dataset, names: Sequence[str], axes: Sequence[str]
+) -> Library:
+    """Terms for `axes` on all flights. `disturbed` is `model` with disturbance states, whose smoothed states the terms are
+    evaluated at; `names` are the features that `terms` reads.
+
+    The innovations are those of `model`: a filter with disturbance states takes most of a slow law for noise.
+    """
+    plain, runner = Filter(model), Filter(disturbed)
+    lin = Linearisation(model.dynamics, ())
+    look = feature_function(disturbed.dynamics, names)
+    width = sum(disturbed.dynamics.window) + 1
+    rows = [disturbed.dynamics.states.names.index(f"disturbance.{axis}") for axis in axes]
+    segments = [(f.name, s) for f in data for s in f.segments]
+    longest = max(SAMPLES // len(segments), 2)
+    segments = [(name, s.rows(0, longest) if s.n > longest else s) for name, s in segments]
+    z, wrench = list[FloatArray](), list[FloatArray]()
+    for _, segment in segments:
+        run = runner.run(segment)
+        states = smooth(runner, run).states
+        window = run.record.inputs[np.arange(len(states))[:, None] + np.arange(width)].reshape(len(states), -1)
+        z.append(evaluate(look, states, window))
+        wrench.append(states[:, rows])
+    every = np.concatenate(z)
+    columns = [(axis, t) for axis in axes for t in terms(axis, names, every, model.physics.vehicle)]
+    places = [model.dynamics.noises[axis] for axis, _ in columns]
+    seen, follows, owners, at = list[Normal](), list[list[Normal]](), list[str](), 0
+    for (flight, segment), own in zip(segments, wrench, strict=True):
+        pushes = np.column_stack([t.values[at : at + len(own)] for _, t in columns])
+        at += len(own)
+        parts = stretches(len(own), len(segments))
+        for part, normal in zip(parts, responses(plain, lin, plain.run(segment), pushes, places, parts), strict=True):
+            seen.append(normal)
+            x = np.column_stack([pushes[part], np.ones(len(pushes[part]))])
+            follows.append([Normal.of([x], [own[part, j]], [flight]) for j in range(len(axes))])
+            owners.append(flight)
+    smoothed = {axis: Normal.joined([f[j] for f in follows], owners) for j, axis in enumerate(axes)}
+    return Library(columns=columns, innovations=Normal.joined(seen, owners), smoothed=smoothed)
+
+
+def responses(
+    runner: Filter, lin: Linearisation, run: Filtered, pushes: FloatArray, places: Sequence[int], parts: Sequence[slice]
+) -> Iterator[Normal]:
+    """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each through the noise channel of
+    its place: one block per part of the segment, the parts in order and without gaps."""
+    record, width = run.record, sum(runner.model.dynamics.window) + 1
+    tables = [runner.riccati.gain(m) for m in record.patterns]
+    there = record.patterns != 0
+    white = [np.linalg.inv(np.linalg.cholesky(p[1])) for p in tables]
+    d = np.zeros((runner.engine.nd, len(places)))
+    for part in parts:
+        sums = Normal.of([np.zeros((1, len(places)))], [np.zeros(1)], [record.flight])
+        for begin in range(part.start, part.stop, CHUNK):
+            rows = range(begin, min(begin + CHUNK, part.stop))
+            out, target = np.zeros((len(rows), there.shape[1], len(places))), np.zeros((len(rows), there.shape[1]))
+            for j, k in enumerate(rows):
+                a, g, c, through = lin.values(run.states[k], record.inputs[k : k + width].T, run.p, record.dt)
+                i = record.pattern[k]
+                e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
+                out[j], target[j] = white[i] @ e, white[i] @ (run.innovations[k] * there[i])
+                d = a @ d + g[:, places] * pushes[k] - tables[i][0] @ e
+            sums = sums + Normal.of([out.reshape(-1, len(places))], [target.ravel()], [record.flight])
+        yield sums
