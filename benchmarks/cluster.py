@@ -8,7 +8,7 @@ built). Printed are medians over repeats, the seconds that the tasks take to be 
 
     t(w) = ceil(fits / w) * t_fit + fits * t_send
 
-expects of more workers, t_fit being the mean fit on one worker.
+expects of more workers, t_fit being the mean fit on a worker of the first cluster.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     alone = median(lambda: [solve(t, nest.data) for t in tasks], options.repeats)
     print(f"{len(tasks)} fits, {pickle.dumps((tasks[0], nest.data)).__sizeof__() / 1e6:.1f} MB each to send")
     print(f"one process, likelihood on all cores: {alone:.2f} s")
-    per_fit = send = 0.0
+    per_fit = send = first = 0.0
     for workers in (int(w) for w in options.workers.split(",")):
         with (
             LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, processes=True) as cluster,
@@ -101,10 +101,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             took = median(lambda: spread(solve), options.repeats)
             empty = median(lambda: spread(nothing), options.repeats)
         if not per_fit:
-            per_fit, send = took / len(tasks), empty / len(tasks)
+            per_fit, send = workers * took / len(tasks), empty / len(tasks)
+            first = took
         expected = math.ceil(len(tasks) / workers) * (per_fit - send) + len(tasks) * send
         print(
-            f"{workers} worker(s): {took:.2f} s, {alone / took:.2f} times as fast as one process, "
+            f"{workers} worker(s): {took:.2f} s, {first / took:.2f} times as fast as the first cluster, "
+            f"{alone / took:.2f} times as one process, "
             f"sending {empty:.3f} s; the cost model expects {expected:.2f} s", flush=True,
         )  # fmt: skip
     for workers in (4, 8):

@@ -21,7 +21,8 @@ Expr = Any
 CHUNK = 1024
 """Samples that one call of a mapped function takes."""
 CASADI = threading.RLock()
-"""Held by whoever uses CasADi where other threads may: its reference counts and caches do not stand two at once."""
+"""Held by whoever builds or evaluates CasADi expressions where other threads may: CasADi lets go of Python's lock, and not
+every build of it counts references safely across threads."""
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 

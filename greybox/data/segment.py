@@ -85,7 +85,7 @@ class Segment:
         }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
+        for name, value in ({"earlier": {}} | state).items():
             object.__setattr__(self, name, value)
         self.__post_init__()
 
@@ -131,8 +131,12 @@ class Segment:
     def rows(self, start: int, stop: int) -> Segment:
         """Samples start <= k < stop, with a memory of those before. Raises `DataError` where fewer than two are left."""
         start = max(start, 0)
-        part, past = slice(start, max(stop, 0)), slice(max(start - round(EARLIER / self.dt), 0), start)
-        earlier = {k: v[past] for k, v in self.channels.items()} if start else self.earlier
+        part, longest = slice(start, max(stop, 0)), max(round(EARLIER / self.dt), 1)
+        earlier = self.earlier
+        if start:
+            known = self.earlier if set(self.channels) <= set(self.earlier) else {}
+            past = {k: v[max(start - longest, 0) : start] for k, v in self.channels.items()}
+            earlier = {k: np.concatenate([known.get(k, v[:0]), v])[-longest:] for k, v in past.items()}
         return Segment(
             t=self.t[part],
             channels={k: v[part] for k, v in self.channels.items()},

@@ -104,7 +104,8 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             if model.flight_spread:
                 p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
         for segment in flight.segments:
-            late = np.flatnonzero(segment.t >= begin + 0.1)
+            # What was commanded before a segment is not known, nor is its state.
+            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0])) + 0.1)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue

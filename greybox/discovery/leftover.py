@@ -11,6 +11,7 @@ model is said to be that.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +30,11 @@ SHARE = 0.25
 """Share of the smoothed discrepancy that terms must explain on left-out stretches to be called a law."""
 TERMS = 6
 """Terms of an axis, at most."""
-OWN = {"force.z": "rotors.thrust", "torque.x": "rotors.roll", "torque.y": "rotors.pitch", "torque.z": "rotors.yaw"}
-"""Axis -> the term that is what a wrong rotor coefficient or inertia leaves."""
+OWN: dict[str, tuple[str, tuple[str, ...]]] = {
+    "force.z": ("rotors.thrust", ("thrust.", "mass")), "torque.x": ("rotors.roll", ("thrust.", "inertia.xx")),
+    "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")), "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
+}  # fmt: skip
+"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names of these begin)."""
 CLEAR = 10.0
 TOLERANCE = 1e-2
 """Log likelihood at which the fit of the disturbance states stops: levels that run to zero never quite get there."""
@@ -116,7 +120,9 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
     gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     gains = axis_gains(result, gain)
     wanted = [c.name for c in seen.outputs if gains[c.name] > CLEAR] if gain > CLEAR else []
-    laws = laws_of(library(found.model, result.model, data, names, wanted), result.n_samples, seed) if wanted else {}
+    laws: dict[str, dict[str, Any]] = {}
+    if wanted:
+        laws = laws_of(library(found.model, result.model, data, names, wanted), result.n_samples, seed, found.parameters)
     axes = tuple(
         Leftover(
             channel=c.name, unit=c.unit, rms=float(np.sqrt(np.mean((seen.y[:, j] - seen.y[:, j].mean()) ** 2))),
@@ -127,23 +133,33 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
     return Promoted(fit=result, gain=gain, axes=axes, regimes=regimes(seen, names))
 
 
-def laws_of(offered: Library, samples: int, seed: int) -> dict[str, dict[str, Any]]:
-    """Axis -> `share`, `terms`, `depends_on` and `codes` of its law, for axes that have one."""
+def _bent(axis: str, free: Iterable[str]) -> bool:
+    """Whether the fit could bend what multiplies the rotors on this axis."""
+    return any(n.startswith(OWN[axis][1]) for n in free)
+
+
+def laws_of(offered: Library, samples: int, seed: int, free: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Axis -> `share`, `terms`, `depends_on` and `codes` of its law, for axes that have one; `free` are the names of the
+    parameters that the fit had."""
     labels = [axis for axis, _ in offered.columns]
-    own = [i for i, (axis, t) in enumerate(offered.columns) if OWN.get(axis) == t.text]
-    kept = select(offered.innovations, own, labels, most=TERMS, samples=samples, seed=seed)
+    own = [i for i, (axis, t) in enumerate(offered.columns) if axis in OWN and OWN[axis][0] == t.text and _bent(axis, free)]
+    # The last columns are a constant push on every axis.
+    always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
+    groups = [*labels, *["constant"] * (len(always) - len(own))]
+    kept = select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed)
     total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
-    c = dict(zip([*own, *kept], solve(*total, [*own, *kept]).tolist(), strict=True)) if kept else {}
+    c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True)) if kept else {}
     out: dict[str, dict[str, Any]] = {}
     for axis, normal in offered.smoothed.items():
         mine = [i for i in kept if labels[i] == axis]
         if not mine:
             continue
         used = [offered.columns[i][1] for i in mine]
-        base = [i for i in own if labels[i] == axis] + [len(labels)]
-        without = left_out(normal, base)
+        constant = len(labels)
+        base = [constant, *(i for i in own if labels[i] == axis)]
+        more = left_out(normal, [*base, *mine]) - left_out(normal, base)
         out[axis] = {
-            "share": (left_out(normal, [*base, *mine]) - without) / (float(normal.yy.sum()) - without),
+            "share": more / max(float(normal.yy.sum()) - left_out(normal, [constant]), 1e-300),
             "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)}, "codes": tuple(t.code for t in used),
             "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
         }  # fmt: skip

@@ -102,7 +102,9 @@ def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: 
     times = [abs(v) for (n, _), v in found.theta.items() if n.split(".")[0] in new]
     if len(new) != 1 or not timing or max(times, default=np.inf) >= SHORT * nest.candidates.model.sample_time:
         return {}
-    pair = next((p for p in TOGETHER if new[0] in p), ())
+    # Next to a lag that is known or found already, a delay is no other word for it.
+    free = [p for p in TOGETHER if set(p) & set(found.effects) == set(new) and set(p) <= set(nest.candidates.parameters)]
+    pair = next(iter(free), ())
     near = [n for n, g in gaps.items() if g < (ROOM if n in timing else CLEAR)]
     names = tuple(dict.fromkeys((*new, *pair, *near)))
     return dict.fromkeys(names, 1 / len(names)) if len(names) > 1 else {}

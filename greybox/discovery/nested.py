@@ -44,6 +44,9 @@ BLOCKS = 64
 which few blocks hardly know."""
 SHORTEST = 0.2
 """Not below this, or innovations that are correlated over a tenth of a second would count as evidence."""
+LEAD, LEADS = 0.1, 4
+"""Seconds at the start of a segment that only tell its commands (the longest delay of a command), in segments that are more
+than so many times as long."""
 RECENT = 48
 """How many fits are remembered."""
 TOLERANCE = 1e-4
@@ -301,6 +304,20 @@ class Nest:
             block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
             value = problem.evaluate(theta, scores=block)
             return screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
+
+
+def led(data: Dataset) -> Dataset:
+    """The data without the first `LEAD` seconds of every segment, whose commands are remembered.
+
+    Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor
+    states does not, and would be preferred for that alone. `data_hash` of the result is that of the samples that are left.
+    """
+    flights = []
+    for f in data:
+        lead = round(LEAD / f.dt)
+        kept = [s.rows(lead, s.n) if s.n > LEADS * lead else s for s in f.segments]
+        flights.append(replace(f, segments=tuple(kept)))
+    return Dataset(flights=tuple(flights))
 
 
 def _sendable(task: Task) -> bool:

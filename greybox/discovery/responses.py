@@ -4,10 +4,11 @@ A wrench w_k that acts through the process noise's channels moves the predicted 
 
     d_{k+1} = (A_k - K C_k) d_k + (G_k - K D_k) w_k,    e_k = C_k d_k + D_k w_k,
 
-linear in w, along the flight that the filter saw. With disturbance states in the filter the innovations are nearly white
-although something is missing, and regression of the whitened innovations on whitened responses is the generalised least
-squares estimate of a law's coefficients, with the slow part that no law explains as coloured noise (Ljung 1999, sec. 7.6;
-Jazwinski 1970, ch. 8). It uses every sample, unlike regression on a smoothed disturbance.
+linear in w, along the flight that the filter saw: regression of the whitened innovations on whitened responses estimates a
+law's coefficients (Ljung 1999, sec. 7.6). It uses every sample, and what the fit bent elsewhere can be estimated along,
+unlike regression on a smoothed disturbance. The filter has no disturbance states: it would take a slow law for noise.
+Its innovations are coloured where something is missing, so that it is left to selection on stretches and flights that were
+left out, not to a standard error, to say what is a law.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from greybox.model.identified import IdentifiedModel
 from greybox.residual.discrepancy import feature_function
 from greybox.symbolic import FloatArray, evaluate
 
-STRETCHES = 10
-"""Parts into which the flights are cut, about."""
+STRETCHES, MOST = 10, 40
+"""Parts into which few flights are cut, about, and how many parts there are at most."""
 SAMPLES = 100_000
 """Samples that laws are sought in, the same number from the start of every segment."""
 CHUNK = 256
@@ -54,10 +55,11 @@ class Normal:
         )  # fmt: skip
 
     @staticmethod
-    def joined(blocks: Sequence[Normal], flights: Sequence[str]) -> Normal:
-        """Single blocks one after the other."""
-        xx, xy, yy = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("xx", "xy", "yy"))
-        return Normal(xx=xx, xy=xy, yy=yy, flights=tuple(flights))
+    def joined(blocks: Sequence[Normal], flights: Sequence[str], xx: FloatArray | None = None) -> Normal:
+        """Single blocks one after the other; `xx` where it is known already."""
+        xy, yy = (np.concatenate([getattr(b, n) for b in blocks]) for n in ("xy", "yy"))
+        whole = np.concatenate([b.xx for b in blocks]) if xx is None else xx
+        return Normal(xx=whole, xy=xy, yy=yy, flights=tuple(flights))
 
     def __add__(self, other: Normal) -> Normal:
         """The rows of both, block by block."""
@@ -72,8 +74,8 @@ def stretches(n: int, flights: int) -> list[slice]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Library:
-    """Columns (axis and term), what they do to the whitened innovations, and how the smoothed disturbance of every axis
-    follows them; there the last column is a constant."""
+    """Columns (axis and term); what they, and after them a constant push on every axis, do to the whitened innovations; and
+    how the smoothed disturbance of every axis follows them and, in the last column, a constant."""
 
     columns: list[tuple[str, Term]]
     innovations: Normal
@@ -105,19 +107,31 @@ def library(
         wrench.append(states[:, rows])
     every = np.concatenate(z)
     columns = [(axis, t) for axis in axes for t in terms(axis, names, every, model.physics.vehicle)]
-    places = [model.dynamics.noises[axis] for axis, _ in columns]
-    seen, follows, owners, at = list[Normal](), list[list[Normal]](), list[str](), 0
+    places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
+    blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
+    seen, follows, owners, at, number = dict[int, Normal](), dict[int, list[Normal]](), dict[int, str](), 0, 0
     for (flight, segment), own in zip(segments, wrench, strict=True):
-        pushes = np.column_stack([t.values[at : at + len(own)] for _, t in columns])
+        pushes = np.column_stack([*(t.values[at : at + len(own)] for _, t in columns), np.ones((len(own), len(axes)))])
         at += len(own)
         parts = stretches(len(own), len(segments))
         for part, normal in zip(parts, responses(plain, lin, plain.run(segment), pushes, places, parts), strict=True):
-            seen.append(normal)
-            x = np.column_stack([pushes[part], np.ones(len(pushes[part]))])
-            follows.append([Normal.of([x], [own[part, j]], [flight]) for j in range(len(axes))])
-            owners.append(flight)
-    smoothed = {axis: Normal.joined([f[j] for f in follows], owners) for j, axis in enumerate(axes)}
-    return Library(columns=columns, innovations=Normal.joined(seen, owners), smoothed=smoothed)
+            # A fleet has more stretches than are needed: neighbours are taken together.
+            block = number * min(MOST, blocks) // blocks
+            number += 1
+            x = pushes[part, : len(columns) + 1]
+            shared = x.T @ x
+            each = [Normal(xx=shared[None], xy=(w @ x)[None], yy=np.array([w @ w]), flights=(flight,)) for w in own[part].T]
+            if block in seen:
+                normal = seen[block] + normal
+                xx = follows[block][0].xx + shared
+                each = [replace(f + e, xx=xx) for f, e in zip(follows[block], each, strict=True)]
+            seen[block], follows[block], owners[block] = normal, each, owners.get(block, flight)
+    names_of = list(owners.values())
+    common = np.concatenate([f[0].xx for f in follows.values()])
+    smoothed = {
+        axis: Normal.joined([f[j] for f in follows.values()], names_of, common) for j, axis in enumerate(axes)
+    }
+    return Library(columns=columns, innovations=Normal.joined(list(seen.values()), names_of), smoothed=smoothed)
 
 
 def responses(

@@ -22,7 +22,7 @@ from greybox.discovery.candidates import candidates
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune
-from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.result import Discovery
 from greybox.discovery.screen import Score
 from greybox.discovery.sensor_noise import (
@@ -45,8 +45,6 @@ from greybox.model.effect import Effect
 from greybox.model.vehicle import Vehicle
 
 POWER = 0.9
-LEAD, SHORTEST = 0.05, 4
-"""Seconds at the start of a segment that only tell its commands, in segments that are more than so many times as long."""
 Progress = Callable[[str, float], None]
 
 
@@ -100,7 +98,7 @@ def discover(
     offered = replace(offered, core=tuple(n for n in offered.core if n not in fixed))
     choices = {"per_flight": per_flight, "estimate_noise": "process" if hold_sensor_noise else True}
     settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
-    train = _led(train)
+    train = led(train)
     judged = test if test is not None and test.flights else train
     nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
 
@@ -183,20 +181,6 @@ def discover(
         plain=plain_model(at.fit, train), stability=tuple(steady),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
-
-
-def _led(data: Dataset) -> Dataset:
-    """The data without the first `LEAD` seconds of every segment, whose commands are remembered.
-
-    Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor
-    states does not, and would be preferred for that alone.
-    """
-    flights = []
-    for f in data:
-        lead = round(LEAD / f.dt)
-        kept = [s.rows(lead, s.n) if s.n > SHORTEST * lead else s for s in f.segments]
-        flights.append(replace(f, segments=tuple(kept)))
-    return Dataset(flights=tuple(flights))
 
 
 def refused(

@@ -215,8 +215,8 @@ class Engine:
     def moved(self, x: FloatArray, d: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x (n_x,) moved by an error d (n_d,), and the derivative in d, (n_d, n_d), in the chart of the moved state."""
         with CASADI:
-            state, _, slope = self.inject(x, d)
-            return np.asarray(state.full()).ravel(), np.asarray(slope.full())
+            state, _, slope = (v.full() for v in self.inject(x, d))
+        return np.asarray(state).ravel(), np.asarray(slope)
 
     def padded_inputs(self, u: FloatArray, earlier: FloatArray | None = None) -> FloatArray:
         """Record of commands (n, n_u) with what the window sees besides: (n + past + future, n_u).

@@ -40,6 +40,10 @@ class Linearisation:
     """
 
     def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...] = ()) -> None:
+        with CASADI:
+            self._build(dynamics, active, fixed)
+
+    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> None:
         s = symbols(dynamics)
         x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
         names = [q.name for q in dynamics.parameters]
@@ -100,11 +104,12 @@ def lost_command(dynamics: Dynamics, x: FloatArray, window: FloatArray, dt: floa
 
     It does not depend on what is fitted: the uncertainty is the log's.
     """
-    try:
-        push = _push(dynamics)  # type: ignore[arg-type]
-    except TypeError:  # a model that cannot be hashed
-        push = _push.__wrapped__(dynamics)
-    b = push(x, window, [d.nominal for d in dynamics.parameters], dt).full()
+    with CASADI:
+        try:
+            push = _push(dynamics)  # type: ignore[arg-type]
+        except TypeError:  # a model that cannot be hashed
+            push = _push.__wrapped__(dynamics)
+        b = push(x, window, [d.nominal for d in dynamics.parameters], dt).full()
     sigma = LOST * np.abs(window[:, dynamics.window[0]])
     # The voltage is slow: the row before has it.
     sigma[[n == "vbat" for n in dynamics.inputs.names]] = 0.0

@@ -7,13 +7,13 @@ that of Schwarz 1978, as everywhere in greybox.discovery.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import NOTHING
-from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.veto import HeldOut
 from greybox.estimation.record import sample_time
 from greybox.model.vehicle import Vehicle
@@ -24,13 +24,13 @@ AHEAD = 0.5
 
 def oracle(
     vehicle: Vehicle, train: Dataset, test: Dataset, truth: Mapping[str, float], final: NestedFit,
-    rivals: Iterable[str] = (),
+    groups: Iterable[Sequence[str]] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with; `rivals`: what stood
-    in a group with the hidden effect, a or a+b.
+    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with; `groups`: the rivals of
+    every group that it left, a or a+b each.
 
     gain      BIC without any addition less that of the oracle; None where an effect cannot be judged with these columns
-    rivals    rival -> its BIC less the oracle's
+    rivals    rival -> BIC with it in place of its group's effects, less the oracle's
     affected  the group whose error half a second ahead the oracle shrinks most, None where it shrinks none
     closed    share of that shrinkage that the search achieved
     """
@@ -38,10 +38,17 @@ def oracle(
     names = tuple(dict.fromkeys(n.split(".")[0] for n in truth))
     if not set(names) <= set(offered.names):
         return {"gain": None, "rivals": {}, "affected": None, "closed": None}
-    nest = Nest(candidates=offered, data=train)
+    nest = Nest(candidates=offered, data=led(train))
     null = nest.refit(())
     told = nest.refit(names, start=null, first={(n, None): v for n, v in truth.items()})
-    others = {r: nest.refit(tuple(r.split("+")), start=null, also=told) for r in rivals if set(r.split("+")) != set(names)}
+    others: dict[str, NestedFit] = {}
+    for group in groups:
+        kept = [n for n in names if n not in {m for r in group for m in r.split("+")}]
+        for rival in group:
+            chosen = tuple(dict.fromkeys((*kept, *rival.split("+"))))
+            # A rival that nothing can show here stands in its group for what it would look like.
+            if set(chosen) != set(names) and set(chosen) <= set(offered.names):
+                others[rival] = nest.refit(chosen, start=null, also=told)
     affected, closed = _closed(HeldOut(test), null, told, final)
     return {
         "gain": null.bic - told.bic, "rivals": {r: f.bic - told.bic for r, f in others.items()}, "affected": affected,

@@ -146,3 +146,4 @@ def test_a_cut_segment_remembers_what_was_before():
     assert "p" not in cut.without(["p"]).earlier
     assert np.array_equal(pickle.loads(pickle.dumps(cut)).earlier["u1"], np.full(20, 0.5))
     assert np.array_equal(cut.rows(0, 10).earlier["p"], cut.earlier["p"])
+    assert np.array_equal(cut.rows(5, 40).earlier["p"], np.sin(T[35:55]))

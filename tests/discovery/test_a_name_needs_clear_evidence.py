@@ -24,7 +24,9 @@ class Refits:
     asked: list[tuple[str, ...]] = field(default_factory=list)
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
     candidates: Any = field(
-        default_factory=lambda: SimpleNamespace(model=SimpleNamespace(sample_time=0.01), blind=False)
+        default_factory=lambda: SimpleNamespace(
+            model=SimpleNamespace(sample_time=0.01), blind=False, parameters=dict.fromkeys(("motor_lag", "command_delay"))
+        )
     )
 
     def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
@@ -189,6 +191,15 @@ def test_a_lag_far_below_a_sample_is_not_told_from_a_delay(tau: float, grouped: 
     assert found is not None
     assert found.effects == ("motor_lag",)
     assert found.rivals == ({"motor_lag": 0.5, "command_delay": 0.5} if grouped else {})
+
+
+def test_next_to_a_lag_that_is_known_a_short_delay_keeps_its_name():
+    bic = {(): 1000.0, ("motor_lag",): 900.0, ("command_delay",): 200.0, ("command_delay", "motor_lag"): 199.0}
+    refits = Refits(bic, theta={("command_delay.d", None): 0.0003})
+    refits.candidates.parameters = {"command_delay": ()}
+    found = choose(refits, score("command_delay", 0.001))
+    assert found is not None
+    assert (found.effects, found.rivals) == (("command_delay",), {})
 
 
 def test_without_a_pose_the_delays_of_commands_and_imu_are_one_group():

@@ -40,16 +40,18 @@ def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -
     """The law of a torque that is seen as it is, in noise of its own size."""
     columns = [("torque.z", t) for t in terms("torque.z", NAMES, z, vehicle())]
     x = np.column_stack([t.values for _, t in columns])
-    size = max(float(y.std()), 1e-12)
+    size = float(y.std()) or 1.0
     parts, owners = [], []
     for name in dict.fromkeys(flights):
         begin, n = flights.index(name), flights.count(name)
         for part in stretches(n, len(set(flights))):
             parts.append(slice(begin + part.start, begin + part.stop))
             owners.append(name)
-    seen = Normal.of([(x[p] - x.mean(0)) / size for p in parts], [(y[p] - y.mean()) / size for p in parts], owners)
-    whole = Normal.of([np.column_stack([x[p], np.ones(len(x[p]))]) for p in parts], [y[p] for p in parts], owners)
-    found = laws_of(Library(columns=columns, innovations=seen, smoothed={"torque.z": whole}), len(y), seed)
+    x = np.column_stack([x, np.ones(len(x))])
+    seen = Normal.of([x[p] / size for p in parts], [y[p] / size for p in parts], owners)
+    whole = Normal.of([x[p] for p in parts], [y[p] for p in parts], owners)
+    offered = Library(columns=columns, innovations=seen, smoothed={"torque.z": whole})
+    found = laws_of(offered, len(y), seed, ("thrust.c2", "torque.c2"))
     rms = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
     return Leftover(channel="torque.z", unit="N m", rms=rms, **found.get("torque.z", NO_LAW))
 
@@ -100,6 +102,22 @@ def test_what_turns_its_sign_between_flights_is_no_law():
         called += law(y, z, flights).lawful
     # By chance another signal may change its sign along.
     assert called <= 1
+
+
+def test_a_mean_is_no_law_and_bends_none():
+    z, flights = signals(n=2000, seed=3)
+    found = law(2.0 + column(z, "q") + 0.7 * np.random.default_rng(6).standard_normal(len(z)), z, flights)
+    assert set(found.terms) == {"q"}
+    assert found.terms["q"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_share_is_of_all_that_the_axis_misses():
+    """What the rotors' own coefficients explain is not the law's."""
+    z, flights = signals(n=4000, seed=5)
+    (own,) = [t for t in terms("torque.z", NAMES, z, vehicle()) if t.text == "rotors.yaw"]
+    y = 2 * np.std(column(z, "q")) / np.std(own.values) * own.values + column(z, "q")
+    found = law(y, z, flights)
+    assert found.share == pytest.approx(np.var(column(z, "q")) / np.var(y), rel=0.3)
 
 
 def test_nothing_left_is_nothing():
