@@ -9,7 +9,8 @@ from greybox.model.effects import CATALOGUE
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
 from scenarios.plants.presets import controller_for, x250
-from scenarios.studies.discovery_outside import CASES, flights, report
+from scenarios.studies import discovery_outside
+from scenarios.studies.discovery_outside import CASES, affected, flights, report
 
 NULLS: dict[str, PlantEffect] = {
     "magnet": outside.Magnet(), "sloshing_mass": outside.SloshingMass(), "thrust_gap": outside.ThrustGap(),
@@ -59,11 +60,23 @@ def test_the_controller_keeps_it_in_the_air_in_batches(name: str):
         assert z.max() < 3.0
 
 
-def test_the_table_counts_cases_and_families():
-    row = {
-        "wrong": [], "flagged": ["force.x"], "right_axis": True, "closed_median": 0.9, "case": "wall",
-    }  # fmt: skip
+def test_the_share_is_of_what_the_effect_adds_to_the_least_error():
+    least = {"position": 1.0, "rate": 0.5, "velocity": 1.0}
+    rows = [
+        {"group": "position", "before": 2.0, "floor": 0.5, "closed": 0.4, "with_proposals": 0.6},
+        {"group": "rate", "before": 0.51, "floor": None, "closed": 0.0, "with_proposals": 0.0},
+        {"group": "velocity", "before": 1.5, "floor": 0.1, "closed": 0.9, "with_proposals": None},
+    ]
+    assert affected(rows, least) == ("position", pytest.approx(0.6 * (4 - 0.25) / (4 - 1)))
+    assert affected(rows[1:2], least) is None
+
+
+def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(discovery_outside, "least", lambda seed: {"position": 1.0})
+    gap = [{"group": "position", "before": 2.0, "floor": 0.0, "closed": 0.5, "with_proposals": None}]
+    row = {"wrong": [], "flagged": ["force.x"], "right_axis": True, "gap": gap, "case": "wall", "seed": 1}
     text = report([row, {**row, "case": "power_drag", "wrong": ["ground_effect"], "right_axis": False}])
     assert [line.split()[:3] for line in text.splitlines()[1:]] == [
         ["wall", "1", "0"], ["power_drag", "1", "1"], ["outside", "1", "0"], ["relatives", "1", "1"], ["all", "2", "1"],
     ]  # fmt: skip
+    assert all("0.667, 0.667" in line for line in text.splitlines()[1:])
