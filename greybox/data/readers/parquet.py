@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.logs.table import Table
+from greybox.data.memory import allowance
 from greybox.data.readers.recording import LogFormat, checked_file, damaged, library
 from greybox.errors import DataError
 
@@ -26,7 +27,11 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
     library("pyarrow", where=where, what="a Parquet file")
     parquet = library("pyarrow.parquet", where=where, what="a Parquet file")
     with damaged(where, "a Parquet file"):
-        content = parquet.read_table(where, memory_map=False, use_threads=False)
+        said = parquet.read_metadata(where)
+        if said.num_rows * said.num_columns * np.dtype(float).itemsize > allowance(where):
+            raise MemoryError
+        # A thread that reads ahead would end the process where memory is short: nobody can catch what it throws.
+        content = parquet.read_table(where, memory_map=False, use_threads=False, pre_buffer=False)
         columns: dict[str, npt.NDArray[Any]] = {}
         for name, column in zip(content.column_names, content.columns, strict=True):
             columns.update(_column(str(name), column))
