@@ -23,10 +23,9 @@ from greybox.data import Dataset
 from greybox.discovery.terms import Term, terms
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation
-from greybox.estimation.smoothing import smooth
 from greybox.model.identified import IdentifiedModel
-from greybox.residual.discrepancy import feature_function
-from greybox.symbolic import FloatArray, evaluate
+from greybox.residual.discrepancy import feature_function, smoothed_features
+from greybox.symbolic import FloatArray
 
 STRETCHES, MOST = 10, 40
 """Parts into which few flights are cut, about, and how many parts there are at most."""
@@ -93,17 +92,14 @@ def library(
     plain, runner = Filter(model), Filter(disturbed)
     lin = Linearisation(model.dynamics, ())
     look = feature_function(disturbed.dynamics, names)
-    width = sum(disturbed.dynamics.window) + 1
     rows = [disturbed.dynamics.states.names.index(f"disturbance.{axis}") for axis in axes]
     segments = [(f.name, s) for f in data for s in f.segments]
     longest = max(SAMPLES // len(segments), 2)
     segments = [(name, s.rows(0, longest) if s.n > longest else s) for name, s in segments]
     z, wrench = list[FloatArray](), list[FloatArray]()
     for _, segment in segments:
-        run = runner.run(segment)
-        states = smooth(runner, run).states
-        window = run.record.inputs[np.arange(len(states))[:, None] + np.arange(width)].reshape(len(states), -1)
-        z.append(evaluate(look, states, window))
+        states, features = smoothed_features(runner, segment, look)
+        z.append(features)
         wrench.append(states[:, rows])
     every = np.concatenate(z)
     columns = [(axis, t) for axis in axes for t in terms(axis, names, every, model.physics.vehicle)]

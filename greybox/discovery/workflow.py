@@ -82,9 +82,9 @@ def discover(
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
     settings: dict[str, Any] = {"alpha": alpha, "seed": seed, "max_effects": max_effects, "adapt": adapt}
-    judged = test if test is not None and test.flights else train
+    tested = test if test is not None and test.flights else None
     if faults is None:
-        faults = check(train if judged is train else train + judged, vehicle)
+        faults = check(train if tested is None else train + tested, vehicle)
     if not faults.ok:
         return refused(faults, vehicle, settings=settings, seconds=time.perf_counter() - began)
     offered = candidates(
@@ -99,7 +99,7 @@ def discover(
     choices = {"per_flight": per_flight, "estimate_noise": "process" if hold_sensor_noise else True}
     settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
     train = led(train)
-    judged = test if test is not None and test.flights else train
+    judged = train if tested is None else tested
     nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
 
     judge = HeldOut(judged, adapt)

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.data import Dataset
+from greybox.data import Dataset, Segment
 from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit, noise_of
@@ -78,6 +78,14 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
     )  # fmt: skip
 
 
+def smoothed_features(runner: Filter, segment: Segment, look: Any) -> tuple[FloatArray, FloatArray]:
+    """Smoothed states (n, n_x) of one segment, and there the features (n, m) of `look`, a `feature_function`."""
+    found = smooth(runner, runner.run(segment))
+    n, width = len(found.states), sum(runner.model.dynamics.window) + 1
+    window = found.filtered.record.inputs[np.arange(n)[:, None] + np.arange(width)].reshape(n, -1)
+    return found.states, evaluate(look, found.states, window)
+
+
 def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> Discrepancy:
     """Smoothed disturbances of all flights with the features `names`. `model` has disturbance states (`disturbed_model`)."""
     dynamics = model.dynamics
@@ -87,7 +95,6 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
     channels = [dynamics.states.names[i].removeprefix("disturbance.") for i in rows]
     runner = Filter(model)
     look = feature_function(dynamics, names)
-    width = sum(dynamics.window) + 1
     times = [model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")]
     block = max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
     z, y, flights = [], [], []
@@ -96,11 +103,9 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
             n = segment.n // block * block
             if not n:
                 continue
-            found = smooth(runner, runner.run(segment))
-            window = found.filtered.record.inputs[np.arange(n)[:, None] + np.arange(width)].reshape(n, -1)
-            seen = evaluate(look, found.states[:n], window)
-            z.append(seen.reshape(-1, block, seen.shape[1]).mean(axis=1))
-            y.append(found.states[:n, rows].reshape(-1, block, len(rows)).mean(axis=1))
+            states, seen = smoothed_features(runner, segment, look)
+            z.append(seen[:n].reshape(-1, block, seen.shape[1]).mean(axis=1))
+            y.append(states[:n, rows].reshape(-1, block, len(rows)).mean(axis=1))
             flights += [flight.name] * (n // block)
     if not z:
         raise ModelError("no flight is long enough to see its disturbances", expected=f"more than {block} samples")

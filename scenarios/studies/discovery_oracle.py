@@ -56,10 +56,13 @@ def oracle(
     }  # fmt: skip
 
 
+def ahead(judge: HeldOut, fitted: NestedFit) -> dict[str, float]:
+    """Group -> RMSE half a second ahead."""
+    return {r["group"]: r["rmse"] for r in judge.errors(fitted) if r["horizon_s"] == AHEAD}
+
+
 def _closed(judge: HeldOut, null: NestedFit, told: NestedFit, final: NestedFit) -> tuple[str | None, float | None]:
-    before, best, own = (
-        {r["group"]: r["rmse"] for r in judge.errors(f) if r["horizon_s"] == AHEAD} for f in (null, told, final)
-    )
+    before, best, own = (ahead(judge, f) for f in (null, told, final))
     shared = [g for g in before if best.get(g) and g in own]
     group = max(shared, key=lambda g: before[g] / best[g], default=None)
     if group is None or before[group] ** 2 < NOTHING * best[group] ** 2:

@@ -39,7 +39,7 @@ from scenarios.plants.effects import PlantEffect
 from scenarios.plants.presets import x250
 from scenarios.plants.quadrotor import Quadrotor
 from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
-from scenarios.studies.discovery_oracle import AHEAD
+from scenarios.studies.discovery_oracle import AHEAD, ahead
 from scenarios.studies.rows import append_row, read_rows
 
 
@@ -91,7 +91,7 @@ def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
     first = 1000 * seed
     train, test = (flights(x250(), [first + k for k in ks], seconds, name) for ks, name in (((1, 2), "a"), ((101,), "b")))
     nest = Nest(candidates=candidates(vehicle_of(x250()), train.channels, sample_time=0.01), data=led(train))
-    return {r["group"]: r["rmse"] for r in HeldOut(test).errors(nest.refit(())) if r["horizon_s"] == AHEAD}
+    return ahead(HeldOut(test), nest.refit(()))
 
 
 def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tuple[str, float] | None:

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from greybox.discovery.name import CLEAR
 from greybox.files import write_atomic
 from scenarios.studies.rows import wilson
 
 Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
-CLEAR = 10.0
-"""BIC difference that counts, as in the search."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
 
