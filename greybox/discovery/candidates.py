@@ -26,13 +26,15 @@ LOOK_ALIKES = (("motor_lag", "command_delay", "sensor_delay", "pose_delay"),)
 class Candidates:
     """`model` holds the known effects and all candidates; `parameters` maps a candidate to its full parameter names,
     `null` every one of these to its null; `core` are the core parameters that are free (their sigma is above zero) with
-    those of known effects; `unjudged` maps an effect to the reason why the log cannot judge it."""
+    those of known effects; `unjudged` maps an effect to the reason why the log cannot judge it; `moving` are those
+    without which the log feels no velocity (drags, where nothing but the IMU is there)."""
 
     model: PhysicsModel
     parameters: Mapping[str, tuple[str, ...]]
     null: Mapping[str, float]
     core: tuple[str, ...]
     unjudged: Mapping[str, str]
+    moving: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,4 +97,9 @@ def candidates(
         null |= {f"{effect.name}.{d.name}": float(d.null) for d in declared if d.null is not None}
     every = {p for ps in parameters.values() for p in ps}
     core = tuple(d.name for d in model.parameters if d.sigma > 0 and d.name not in every)
-    return Candidates(model=model, parameters=parameters, null=null, core=core, unjudged=unjudged)
+    moving = () if _feels_velocity(bare) else tuple(e.name for e in offered if _feels_velocity(bare.with_effect(e)))
+    return Candidates(model=model, parameters=parameters, null=null, core=core, unjudged=unjudged, moving=moving)
+
+
+def _feels_velocity(model: PhysicsModel) -> bool:
+    return "velocity.x" in model.states.names

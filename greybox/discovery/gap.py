@@ -9,12 +9,12 @@ there are at least four; Kunsch 1989, Annals of Statistics 17(3)).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from greybox.data import Dataset, Segment
+from greybox.data import Dataset, Flight, Segment
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.model.identified import IdentifiedModel
@@ -28,6 +28,8 @@ SECONDS = (0.0, 0.1, 0.5, 1.0)
 """Horizons [s]; 0 stands for one sample."""
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
+START = 2.0
+"""Seconds that tell with which velocity and tilt a log of gyro and accelerometer alone begins; they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
 Squares = dict[tuple[str, float], list[FloatArray]]
@@ -85,6 +87,7 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
 def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
 
+    Where nothing but gyro and accelerometer is there the first `START` s of every segment tell its initial state.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
@@ -92,6 +95,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     groups = reader.judged(data.any_channels)
     steps = {s: max(1, round(s / dt)) for s in SECONDS}
     longest = max(steps.values())
+    blind = {s.name for s in model.physics.sensors} <= {"gyro", "accelerometer"}
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
     logliks, samples = list[FloatArray](), 0
@@ -105,11 +109,12 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
-            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0])) + 0.1)
+            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0]) + (START if blind else 0.0)) + 0.1)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue
-            filtered = runner.run(segment.without(flight.noncausal), p=p)
+            x0 = _begun(model, flight, segment, runner) if blind else None
+            filtered = runner.run(segment.without(flight.noncausal), p=p, x0=x0)
             logliks.append(_logliks(filtered, segment.t, late[0]))
             samples += late.size
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
@@ -122,6 +127,11 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
     return Foresight(own=own, floor=floor, logliks=np.concatenate(logliks), samples=max(samples, 1))
+
+
+def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> FloatArray | None:
+    alone = replace(flight, segments=(segment,))
+    return adapt_to_flight(model, alone, START, riccati=runner.riccati).x0
 
 
 def _logliks(filtered: Filtered, t: FloatArray, begin: int) -> FloatArray:

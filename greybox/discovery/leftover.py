@@ -11,7 +11,7 @@ model is said to be that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,8 +22,10 @@ from greybox.discovery.regimes import Regime, regimes
 from greybox.discovery.responses import Library, library
 from greybox.discovery.selection import left_out, select, solve
 from greybox.discovery.terms import wanted_features
+from greybox.errors import FitError
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code
 from greybox.residual.discrepancy import GROUPS, discrepancy
 
 SHARE = 0.25
@@ -78,12 +80,14 @@ class Leftover:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Promoted:
-    """The model with disturbance states, and by how much they improve BIC."""
+    """The model with disturbance states, and by how much they improve BIC. `known` is false where that model has no finite
+    prediction along the flights (a velocity that nothing holds): then no law of what is left was sought."""
 
     fit: Fit
     gain: float
     axes: tuple[Leftover, ...]
     regimes: tuple[Regime, ...] = ()
+    known: bool = True
 
     @property
     def deficient(self) -> bool:
@@ -114,11 +118,16 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
         values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
         solver=LevenbergMarquardt(tolerance=TOLERANCE, max_iterations=iterations),
     )  # fmt: skip
+    if result.status.code is Code.INVALID_START:
+        return Promoted(fit=result, gain=0.0, axes=(), known=False)
     names = wanted_features(result.model.dynamics)
-    seen = discrepancy(result.model, data, names)
     # Physics is held here and was free there: its parameters count once, on both sides.
     gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     gains = axis_gains(result, gain)
+    try:
+        seen = discrepancy(result.model, data, names)
+    except FitError:
+        return Promoted(fit=result, gain=gain, axes=_sizes(result, gains), known=False)
     wanted = [c.name for c in seen.outputs if gains[c.name] > CLEAR] if gain > CLEAR else []
     laws: dict[str, dict[str, Any]] = {}
     if wanted:
@@ -131,6 +140,19 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
         for j, c in enumerate(seen.outputs)
     )  # fmt: skip
     return Promoted(fit=result, gain=gain, axes=axes, regimes=regimes(seen, names))
+
+
+def _sizes(result: Fit, gains: Mapping[str, float]) -> tuple[Leftover, ...]:
+    """Axes without a law, their RMS that of the fitted process (stationary level of its state)."""
+    model = result.model
+    driving = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    out = []
+    for axis, gain in gains.items():
+        memory = model.values[f"disturbance.{axis.split('.')[0]}.T"]
+        level = driving[f"disturbance.{axis}"] / np.sqrt(-np.expm1(-2 * model.sample_time / memory))
+        unit = model.dynamics.noises.signals[model.dynamics.noises[axis]].unit
+        out.append(Leftover(channel=axis, unit=unit, rms=float(level), gain=gain, **NO_LAW))
+    return tuple(out)
 
 
 def _bent(axis: str, free: Iterable[str]) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.stats
 
 from greybox.discovery.candidates import LOOK_ALIKES, TOGETHER
 from greybox.discovery.nested import ROOM, Nest, NestedFit, Refit
@@ -52,10 +53,11 @@ def next_addition(
     # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
     # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have.
     passing = sorted(passing, key=lambda s: -s.statistic)[:CONTENDERS]
-    if not passing:
+    unscored = [s for s in scores if s.refit]
+    if not passing and not unscored:
         return None
     by_name = {s.name: s for s in scores}
-    sets: list[tuple[str, ...]] = [(s.name,) for s in passing]
+    sets: list[tuple[str, ...]] = [(s.name,) for s in (*passing, *unscored)]
     for group in LOOK_ALIKES:
         if any(s.name in group for s in passing):
             sets += [(n,) for n in group if n in by_name and by_name[n].judged and (n,) not in sets]
@@ -88,11 +90,19 @@ def next_addition(
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
     rivals = _same_within_a_sample(nest, fits[best], best, gaps) or rivals or _same_without_pose(nest, best)
+    p_value = min(by_name[n].p_family for n in best)
+    if all(by_name[n].refit for n in best):
+        p_value = _likelihood_ratio(at, fits[best], sum(by_name[n].dof for n in best), len(scores))
     return Addition(
-        effects=best, p_value=min(by_name[n].p_family for n in best), delta_bic=gain,
+        effects=best, p_value=p_value, delta_bic=gain,
         delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
         scores=tuple(scores),
     )  # fmt: skip
+
+
+def _likelihood_ratio(at: NestedFit, found: Refit, dof: int, tests: int) -> float:
+    """Level of the likelihood ratio test (Wilks 1938), times the number of candidates (Bonferroni)."""
+    return min(1.0, tests * float(scipy.stats.chi2.sf(2 * (found.loglik - at.loglik), dof)))
 
 
 def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: Mapping[str, float]) -> dict[str, float]:
@@ -114,6 +124,20 @@ def _same_without_pose(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
     """The delays of commands and of the IMU as equal rivals where nothing but the IMU is there: only their sum shows."""
     pair = ("command_delay", "sensor_delay")
     return dict.fromkeys(pair, 0.5) if best == pair[:1] and nest.candidates.blind else {}
+
+
+def stands_in(nest: Nest, found: Addition, instead_of: Sequence[Addition]) -> Addition | None:
+    """The addition that `found` only stands in for: clearly likelier than it, and with nothing to gain from it.
+
+    What held-out flights withheld by chance must not get the name of its look-alike.
+    """
+    for other in instead_of:
+        if set(other.effects) & set(found.effects) or found.after.bic - other.after.bic < CLEAR:
+            continue
+        both = nest.task((*other.after.effects, *found.effects), start=other.after, also=found.after)
+        if other.after.bic - nest.contest([both], other.after.bic)[0].bic < CLEAR:
+            return other
+    return None
 
 
 def still_needed(

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
 from greybox.discovery.differences import widened
-from greybox.discovery.screen import Key, Score, screen
+from greybox.discovery.screen import Key, Score, screen, unscored
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -293,17 +293,25 @@ class Nest:
 
     def screen(self, at: NestedFit, *, alpha: float = 0.05, draws: int = 999, seed: int = 0) -> list[Score]:
         """Score tests of every candidate that is not in `at`."""
-        names = {n: p for n, p in self.candidates.parameters.items() if n not in at.effects}
+        unfelt = () if "velocity.x" in at.fit.model.dynamics.states.names else self.candidates.moving
+        names = {n: p for n, p in self.candidates.parameters.items() if n not in (*at.effects, *unfelt)}
         null = {p: self.candidates.null[p] for ps in names.values() for p in ps}
         with threadpool_limits(limits=1):
             problem, theta = widened(
-                at.fit.problem, at.fit.theta, self.candidates.model, self.data, null,
+                at.fit.problem, at.fit.theta, self.candidates.only({*names, *at.effects}), self.data, null,
                 per_flight=self.choices.get("per_flight", ()),
             )  # fmt: skip
             seconds = sum(r.n for r in problem.records) * problem.dt
             block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
             value = problem.evaluate(theta, scores=block)
-            return screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
+            tested = screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
+        return [*tested, *(self._typical(n) for n in unfelt)]
+
+    def _typical(self, effect: str) -> Score:
+        """An effect that has no score at its null, with the size that its file calls typical to start a refit from."""
+        declared = {d.name: d.scale for d in self.candidates.model.parameters}
+        null, own = self.candidates.null, self.candidates.parameters[effect]
+        return unscored(effect, {(p, None): null[p] + declared[p] for p in own})
 
 
 def led(data: Dataset) -> Dataset:

@@ -38,7 +38,8 @@ class Score:
     below which the largest of all passes at the level that `screen` was given. `estimate` and `std` are the one-step
     estimates by parameter and flight. `left` is the smallest share of information that the free parameters leave to a
     direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity), `allowed` where
-    every first estimate lies beyond a bound (a negative delay)."""
+    every first estimate lies beyond a bound (a negative delay). `refit`: at its null the candidate has no score (nothing
+    shows the velocity that it acts on), and only a refit from the size that `estimate` holds can test it."""
 
     name: str
     statistic: float
@@ -53,6 +54,7 @@ class Score:
     reason: str = ""
     limit: float = 0.0
     allowed: bool = True
+    refit: bool = False
 
 
 def screen(
@@ -167,6 +169,11 @@ def _unjudged(name: str, reason: str, left: float = 0.0) -> Score:
         name=name, statistic=0.0, robust=0.0, dof=0, p=1.0, p_family=1.0, estimate={}, std={}, left=left, judged=False,
         reason=reason,
     )  # fmt: skip
+
+
+def unscored(name: str, estimate: Mapping[Key, float]) -> Score:
+    """A candidate that only a refit can test, with the `estimate` to start from."""
+    return replace(_unjudged(name, "judged by a refit"), dof=len(estimate), estimate=estimate, refit=True)
 
 
 def _allowed(problem: Problem, i: int, step: float) -> bool:

@@ -21,7 +21,7 @@ from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import candidates
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.leftover import Promoted, promote
-from greybox.discovery.name import Addition, next_addition, prune
+from greybox.discovery.name import Addition, next_addition, prune, stands_in
 from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.result import Discovery
 from greybox.discovery.screen import Score
@@ -149,6 +149,8 @@ def discover(
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not set(w.effects) <= named]
     before = before or leftover
+    if not leftover.known:
+        warnings.append("no law of what is left was sought: with disturbance states the model has no finite prediction")
     say("flight by flight", 0.88)
     steady = stability(nest, at, additions)
     warnings += [
@@ -169,7 +171,12 @@ def discover(
         if a.rivals:
             say(f"what separates {' and '.join(a.rivals)}", 0.97)
             separating[a.effects] = _separating(nest, a)
-    skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not s.judged}
+    skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not (s.judged or s.refit)}
+    if unscored := [s.name for s in scores if s.refit]:
+        warnings.append(
+            f"nothing shows a velocity without {', '.join(unscored)}: each was refitted at every step, and how small it may "
+            "be to be seen is not known"
+        )
     return Discovery(
         verdict=_verdict(additions, leftover), additions=tuple(additions), fit=at.fit, final=at, leftover=leftover,
         before=before, gap=rows,
@@ -275,6 +282,7 @@ def _earned(
 ) -> tuple[Addition | None, list[Withheld]]:
     """The best addition that flights which were not searched do not contradict, and those that they did."""
     withheld: list[Withheld] = []
+    contradicted: list[Addition] = []
     while True:
         # Of a pair that failed either may stand alone.
         refused = {frozenset(w.effects) for w in withheld}
@@ -283,6 +291,11 @@ def _earned(
         refusal = None if found is None else unseen(found.after, found.effects, nest.candidates.null)
         if refusal is None and found is not None and held_out is not None:
             refusal = held_out.withheld(found.before, found.after)
+            if refusal is not None:
+                contradicted.append(found)
+            elif (other := stands_in(nest, found, contradicted)) is not None:
+                reason = f"it adds nothing to {' and '.join(other.effects)}, which is far likelier and was withheld"
+                refusal = Withheld(effects=found.effects, reason=reason)
         if refusal is None:
             return found, withheld
         withheld.append(refusal)

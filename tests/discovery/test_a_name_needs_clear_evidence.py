@@ -9,9 +9,9 @@ from typing import Any, cast
 
 import pytest
 
-from greybox.discovery.name import Addition, next_addition, prune, still_needed
+from greybox.discovery.name import Addition, next_addition, prune, stands_in, still_needed
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.screen import Score
+from greybox.discovery.screen import Score, unscored
 
 
 @dataclass(frozen=True)
@@ -200,6 +200,54 @@ def test_next_to_a_lag_that_is_known_a_short_delay_keeps_its_name():
     found = choose(refits, score("command_delay", 0.001))
     assert found is not None
     assert (found.effects, found.rivals) == (("command_delay",), {})
+
+
+@dataclass(frozen=True)
+class Likely:
+    """A fit with a likelihood, BIC from it without a price."""
+
+    loglik: float
+    effects: tuple[str, ...] = ()
+
+    @property
+    def bic(self) -> float:
+        return -2 * self.loglik
+
+
+@dataclass(frozen=True)
+class Likelihoods(Refits):
+    """The same with the likelihood that belongs to the BIC."""
+
+    def refits(self, tasks: Any) -> Any:
+        found = super().refits(tasks)
+        for f in found:
+            f.loglik = -f.bic / 2
+        return found
+
+
+def test_what_has_no_score_is_refitted_in_any_case_and_tested_by_its_likelihood_ratio():
+    refits = Likelihoods({(): 1000.0, ("drag",): 980.0, ("lift",): 1004.0})
+    at = cast(NestedFit, Likely(-500.0))
+    scores = [score("bias", 0.5), unscored("drag", {("drag.k", None): 1.0}), unscored("lift", {("lift.k", None): 1.0})]
+    found = next_addition(cast(Nest, refits), at, scores, 0.05)
+    assert found is not None
+    assert found.effects == ("drag",)
+    # chi^2 of 20 with one degree of freedom, three candidates: two tails of 4.472 standard deviations each.
+    assert found.p_value == pytest.approx(3 * 7.744e-6, rel=1e-3)
+    assert refits.asked == [("drag",), ("lift",)]
+
+
+@pytest.mark.parametrize(
+    ("drag", "both", "refused"), [(800.0, 795.0, True), (800.0, 780.0, False), (895.0, 894.0, False)]
+)
+def test_the_look_alike_of_a_withheld_name_does_not_take_its_place(drag: float, both: float, refused: bool):
+    refits = Refits({("drag", "wind"): both})
+
+    def step(name: str, bic: float) -> Addition:
+        return replace(added((name,)), after=cast(NestedFit, SimpleNamespace(effects=(name,), bic=bic)))
+
+    found = stands_in(cast(Nest, refits), step("wind", 900.0), [step("drag", drag)])
+    assert (found is not None) == refused
 
 
 def test_without_a_pose_the_delays_of_commands_and_imu_are_one_group():
