@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from greybox.discovery.velocity import moving
 from greybox.errors import GreyboxError
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
@@ -97,9 +98,6 @@ def candidates(
         null |= {f"{effect.name}.{d.name}": float(d.null) for d in declared if d.null is not None}
     every = {p for ps in parameters.values() for p in ps}
     core = tuple(d.name for d in model.parameters if d.sigma > 0 and d.name not in every)
-    moving = () if _feels_velocity(bare) else tuple(e.name for e in offered if _feels_velocity(bare.with_effect(e)))
-    return Candidates(model=model, parameters=parameters, null=null, core=core, unjudged=unjudged, moving=moving)
-
-
-def _feels_velocity(model: PhysicsModel) -> bool:
-    return "velocity.x" in model.states.names
+    return Candidates(
+        model=model, parameters=parameters, null=null, core=core, unjudged=unjudged, moving=moving(bare, offered)
+    )

@@ -67,6 +67,9 @@ def next_addition(
     sets = [c for c in sets if frozenset(c) not in refused]
     firsts = [{k: v for n in chosen for k, v in by_name[n].estimate.items()} for chosen in sets]
     tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
+    tasks = [
+        nest.from_each(t) if any(by_name[n].refit for n in c) else t for t, c in zip(tasks, sets, strict=True)
+    ]  # fmt: skip
     fits: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.contest(tasks), strict=True):
         if found.comparable and not any(found.at_bound(n) for n in chosen):

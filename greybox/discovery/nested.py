@@ -260,6 +260,15 @@ class Nest:
             for i, refit in zip(close, again, strict=True):
                 found[i] = refit
 
+    def from_each(self, task: Task) -> Task:
+        """The task started from the best of rough fits from every one of its starts.
+
+        Where the model tells how far a velocity carries, the likeliest start may lead into a local optimum: noise levels
+        grow until nothing holds the velocity, and the effect dies out.
+        """
+        found = self.refits([replace(task, starts=(s,), tolerance=ROUGH) for s in task.starts])
+        return replace(task, starts=(min(found, key=lambda r: r.bic).theta,))
+
     def refits(self, tasks: Sequence[Task]) -> list[Refit]:
         """Carry out tasks, side by side where there is an executor. What cannot be sent runs here."""
         known = {i: r for i, t in enumerate(tasks) for r in self.recent if r.task == t}

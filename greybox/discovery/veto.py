@@ -8,9 +8,9 @@ checks stand against that.
    held-out flights together no longer speak for it; and, unless they are far more likely or it is an effect of a sensor,
    open-loop errors up to a second ahead must not grow: the relative change of the mean square, averaged over channel
    groups and horizons, with the spread between the same blocks.
-2. What is left. Where the force or torque that the effect acts on still follows a law that is larger than the effect, or
-   misses far more than the effect explained, the effect only bends towards something else: the name is taken back and
-   the axis is reported as unnamed. A name that made held-out flights far more likely and let their open-loop errors fall
+2. What is left. Where the axes that the effect acts on still miss more than half of what it explained, or the others of
+   its force or torque follow a law that is larger than the effect, or any axis misses far more than it explained, the
+   effect only bends towards something else: the name is taken back and the axis is reported as unnamed. A name that made held-out flights far more likely and let their open-loop errors fall
    clearly has proven itself and stays: in a real vehicle much is always left.
 """
 
@@ -51,10 +51,12 @@ LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
 CONSTANT = frozenset({"constant_force", "steady_wind"})
 """Effects without a signal: any law has a mean, which they take."""
+HALF = 0.5
+"""Part of what the effect explained that the axes on which it acts may still miss after it, in BIC, together."""
 MUCH = 5.0
-"""How much more than the effect explained an axis may miss after it, in BIC, where what it misses follows no law."""
+"""How much more than the effect explained an axis next to its own (of the same force or torque) may miss, without a law."""
 ELSEWHERE = 10.0
-"""The same for the axes that the effect does not act on: a force off the centre of mass is a torque, a tilt turns forces."""
+"""The same for all other axes: a force off the centre of mass is a torque, a tilt turns forces."""
 PROVEN = 0.1
 """Relative fall of the mean square ahead on held-out flights from which on, `SURE` standard errors clear, a name that also
 gained `PLAIN` has proven itself. Any constant does so where a law is missing, and proves nothing."""
@@ -223,8 +225,12 @@ def misfit(
     axes = [f"force.{a}" for a in "xyz"] + [f"torque.{a}" for a in "xyz"]
     size = dict(zip(axes, np.sqrt((wrench**2).mean(axis=0)).tolist(), strict=True))
     ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in size.items()}
-    kinds = {a.split(".")[0] for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
-    return misfit_of(effects, kinds, size, left, gained)
+    touched = {a for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
+    own = [law for law in left if law.channel in touched]
+    if sum(law.gain for law in own) > HALF * gained:
+        most = max(own, key=lambda law: law.gain)
+        return Withheld(effects=tuple(effects), reason=f"{most.channel} misses more than half of what it explained")
+    return misfit_of(effects, {a.split(".")[0] for a in touched}, size, left, gained)
 
 
 def misfit_of(

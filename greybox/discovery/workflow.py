@@ -37,6 +37,7 @@ from greybox.discovery.sensor_noise import (
 )
 from greybox.discovery.spectrum import spectrum
 from greybox.discovery.stability import stability
+from greybox.discovery.velocity import drifts
 from greybox.discovery.verify import gap_rows, verified, with_proposals
 from greybox.discovery.veto import HeldOut, Withheld, unseen
 from greybox.errors import GreyboxError, UnknownNameError
@@ -243,6 +244,13 @@ class _Search:
             at, additions, warnings = prune(nest, at, before.additions, single=True)
         ready: list[Score] | None = None
         for step in range(self.max_effects + 1):
+            if drifts(at.fit.model):
+                scores = []
+                warnings.append(
+                    f"nothing further was sought: with {' and '.join(at.effects)} the model has a velocity that its filter "
+                    "does not see at rest"
+                )
+                break
             scores, ready = ready or self._screen(nest, at, step), None
             if step == self.max_effects:
                 if any(s.judged and s.p_family <= self.alpha for s in scores):

@@ -8,6 +8,7 @@ that of Schwarz 1978, as everywhere in greybox.discovery.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from greybox.data import Dataset
@@ -40,12 +41,13 @@ def oracle(
         return {"gain": None, "rivals": {}, "affected": None, "closed": None}
     nest = Nest(candidates=offered, data=led(train))
     null = nest.refit(())
-    declared = {d.name: d.scale for d in offered.model.parameters}
-    # From the truth with the null model's noise levels a fit can go astray where nothing shows a velocity.
-    starts = [dict(truth), {n: offered.null[n] + declared[n] for n in truth}]
-    starts = starts if set(names) & set(offered.moving) else starts[:1]
-    fits = [nest.refit(names, start=null, first={(n, None): v for n, v in s.items()}) for s in starts]
-    told = min(fits, key=lambda f: f.bic)
+    task = nest.task(names, start=null, first={(n, None): v for n, v in truth.items()})
+    if set(names) & set(offered.moving):
+        # The truth is far from the noise levels of the null model, from where fits without a velocity may go astray.
+        size = {d.name: offered.null.get(d.name, 0.0) + d.scale for d in offered.model.parameters}
+        typical = nest.task(names, start=null, first={(n, None): size[n] for n in truth})
+        task = nest.from_each(replace(task, starts=(*task.starts, *typical.starts)))
+    told = nest.settle(nest.refits([task])[0])
     others: dict[str, NestedFit] = {}
     for group in groups:
         kept = [n for n in names if n not in {m for r in group for m in r.split("+")}]

@@ -41,11 +41,23 @@ def test_a_law_larger_than_the_effect_takes_its_name_back():
     [
         law("torque.x", rms=0.0001, share=0.9, gain=50),  # small against the effect
         law("force.z", rms=9.0, share=0.9, gain=900),  # elsewhere
-        law("torque.x", rms=0.004, share=0.1, gain=300),  # no law, and not far more than the effect
+        law("torque.x", rms=0.004, share=0.1, gain=49),  # no law, and less than half of what the effect explained
     ],
 )
 def test_little_left_or_left_elsewhere_leaves_the_name_alone(left: Leftover):
     assert misfit(("rotational_damping",), torque(0.001), LEVELS, [left], 100) is None
+
+
+def test_axes_that_it_acts_on_may_miss_half_of_what_it_explained_together():
+    both = torque(0.001)
+    both[:, 4] = both[:, 3]
+    left = [law(f"torque.{a}", rms=0.004, share=0.0, gain=30, terms={}) for a in "xy"]
+    found = misfit(("battery_sag",), both, LEVELS, left, 100)
+    assert found is not None
+    assert "half" in found.reason
+    assert misfit(("battery_sag",), both, LEVELS, left, 121) is None
+    # Only one of the two is its own.
+    assert misfit(("battery_sag",), torque(0.001), LEVELS, left, 100) is None
 
 
 def test_far_more_left_without_a_law_takes_it_back_too():
