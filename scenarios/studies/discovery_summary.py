@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from greybox.discovery.name import CLEAR
@@ -21,6 +23,8 @@ from scenarios.studies.rows import wilson
 
 Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
+FLIGHTS, RATE = 2, 100
+"""Training flights of a log, and their samples per second."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
 
@@ -31,7 +35,7 @@ def _share(hits: int, total: int) -> str:
 
 
 def _label(row: Row) -> tuple[str, ...]:
-    return row["kind"], row["size"], row["vehicle"], row["nominal"], row["noise"], row["columns"]
+    return row["kind"], row["size"], row["vehicle"], row["nominal"], row["noise"], row["columns"], f"{row['seconds']:g} s"
 
 
 def _grouped(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
@@ -109,7 +113,8 @@ def against_oracle(rows: Sequence[Row]) -> list[str]:
         power = [r for r in members if r["oracle"]["gain"] is not None and r["oracle"]["gain"] > CLEAR]
         c = Counter(r["judged"] for r in power)
         groups = [r["oracle"]["rivals"].values() for r in power if r["judged"] == "group"]
-        tied = sum(min(g, default=np.inf) < CLEAR for g in groups)
+        # A rival that these columns cannot show at all (sensor_delay without a pose) is the same word for them.
+        tied = sum(min(g, default=-np.inf) < CLEAR for g in groups)
         weak = [r for r in members if r not in power]
         closed = [r["oracle"]["closed"] for r in power if r["judged"] == "right" and r["oracle"]["closed"] is not None]
         share = f"{np.median(closed):.4f}, {min(closed):.4f} ({len(closed)})" if closed else "-"
@@ -252,12 +257,24 @@ def _confusion_figure(rows: Sequence[Row]) -> Figure:
 
 
 def _power_figure(rows: Sequence[Row]) -> Figure:
-    """Shares of single effects against their size in noise."""
-    figure = Figure(figsize=(6, 3), layout="constrained")
-    axes = figure.subplots()
+    """Shares of single effects against their size in noise, and against that times the root of the number of samples."""
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
     single = [r for r in rows if r["kind"] == "single" and r["in_noise"] and r["judged"] != "failed"]
+    size = np.array([r["in_noise"] for r in single])
+    samples = np.array([FLIGHTS * r["seconds"] * RATE for r in single])
+    _power_axes(left, single, size)
+    left.set_xlabel("RMS change of the one-step errors, in their standard deviations", fontsize=8)
+    left.set_ylabel("share of logs", fontsize=8)
+    _power_axes(right, single, size * np.sqrt(samples))
+    right.set_xlabel("the same, times the root of the number of samples", fontsize=8)
+    left.legend(fontsize=7, frameon=False)
+    return figure
+
+
+def _power_axes(axes: Axes, single: Sequence[Row], at: npt.NDArray[np.float64]) -> None:
     if single:
-        size = np.log10([r["in_noise"] for r in single])
+        size = np.log10(at)
         edges = np.linspace(size.min() - 1e-9, size.max() + 1e-9, min(8, max(2, len(single) // 8)) + 1)
         kinds = {"right": ("right",), "right or group": ("right", "group"), "false": ("wrong", "extra")}
         for name, verdicts in kinds.items():
@@ -268,8 +285,4 @@ def _power_figure(rows: Sequence[Row]) -> Figure:
                     points.append((10 ** (0.5 * (low + high)), np.mean([r["judged"] in verdicts for r in members])))
             axes.plot(*zip(*points, strict=True), "o-", label=name, markersize=3, linewidth=1)
     axes.set_xscale("log")
-    axes.set_xlabel("RMS change of the one-step errors, in their standard deviations", fontsize=8)
-    axes.set_ylabel("share of logs", fontsize=8)
-    axes.legend(fontsize=7, frameon=False)
     axes.tick_params(labelsize=7)
-    return figure
