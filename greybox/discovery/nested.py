@@ -55,6 +55,10 @@ ROUGH = 0.1
 """Where a fit that need not be exact stops: the cost that is left is a few times that."""
 ROOM = 30.0
 """BIC behind the best within which rough fits are made exact: what matters is decided within 10."""
+FEW = 15
+"""Iterations that show which of several starts leads somewhere."""
+LONGER = 5
+"""How often a fit that ran out of iterations goes on: a long curved valley, as of a start that nothing measured, ends."""
 SHARES = (1.0, 0.3, 0.1, 0.03)
 """Parts of a first estimate to start from. The whole of a large one, linear from the null, can lie far outside; the noise
 levels then grow and shrink again for twenty iterations."""
@@ -73,6 +77,7 @@ class Task:
     starts: tuple[Mapping[Key, float], ...]
     choices: Mapping[str, Any]
     tolerance: float = TOLERANCE
+    iterations: int = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +195,7 @@ def solve(task: Task, data: Dataset) -> Refit:
         offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
         starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
-        theta, status = LevenbergMarquardt(tolerance=task.tolerance).solve(problem, start)
+        theta, status = LevenbergMarquardt(tolerance=task.tolerance, max_iterations=task.iterations).solve(problem, start)
         value = problem.evaluate(theta, 0)
     ends = [
         u.name for u, t in zip(problem.unknowns, theta, strict=True)
@@ -247,15 +252,18 @@ class Nest:
 
     def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
         """Carry out tasks that are held against each other, and against a fit of BIC `held`: exactly where BIC comes within
-        `ROOM` of the best, roughly where it does not (then it is a little too large)."""
+        `ROOM` of the best, roughly where it does not (then it is a little too large). What ran out of iterations there goes
+        on, `LONGER` times at most."""
         found = self.refits([replace(t, tolerance=ROUGH) for t in tasks])
-        exact: set[int] = set()
+        done = [0] * len(tasks)
         while True:
             best = min([held, *(r.bic for r in found if r.comparable)])
-            close = [i for i, r in enumerate(found) if r.comparable and r.bic < best + ROOM and i not in exact]
+            turns = [1 if r.comparable else LONGER if r.status.code is Code.MAX_ITERATIONS else 0 for r in found]
+            close = [i for i, r in enumerate(found) if r.bic < best + ROOM and done[i] < turns[i]]
             if not close:
                 return found
-            exact.update(close)
+            for i in close:
+                done[i] += 1
             again = self.refits([replace(tasks[i], starts=(found[i].theta,)) for i in close])
             for i, refit in zip(close, again, strict=True):
                 found[i] = refit
@@ -266,7 +274,7 @@ class Nest:
         Where the model tells how far a velocity carries, the likeliest start may lead into a local optimum: noise levels
         grow until nothing holds the velocity, and the effect dies out.
         """
-        found = self.refits([replace(task, starts=(s,), tolerance=ROUGH) for s in task.starts])
+        found = self.refits([replace(task, starts=(s,), tolerance=ROUGH, iterations=FEW) for s in task.starts])
         return replace(task, starts=(min(found, key=lambda r: r.bic).theta,))
 
     def refits(self, tasks: Sequence[Task]) -> list[Refit]:

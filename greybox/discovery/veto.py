@@ -10,8 +10,9 @@ checks stand against that.
    groups and horizons, with the spread between the same blocks.
 2. What is left. Where the axes that the effect acts on still miss more than half of what it explained, or the others of
    its force or torque follow a law that is larger than the effect, or any axis misses far more than it explained, the
-   effect only bends towards something else: the name is taken back and the axis is reported as unnamed. A name that made held-out flights far more likely and let their open-loop errors fall
-   clearly has proven itself and stays: in a real vehicle much is always left.
+   effect only bends towards something else: the name is taken back and the axis is reported as unnamed.
+   A name that made held-out flights far more likely and let their open-loop errors fall clearly has proven itself and
+   stays: in a real vehicle much is always left.
 """
 
 from __future__ import annotations
