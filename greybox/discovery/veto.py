@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.discovery.candidates import TOGETHER
 from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
 from greybox.discovery.name import CLEAR
@@ -50,6 +51,7 @@ PLAIN = 0.1
 as long as much else is missing they are those of the rest, and a right addition may raise them."""
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
+LATE = frozenset(n for pair in TOGETHER for n in pair)
 CONSTANT = frozenset({"constant_force", "steady_wind"})
 """Effects without a signal: any law has a mean, which they take."""
 HALF = 0.5
@@ -227,7 +229,8 @@ def misfit(
     size = dict(zip(axes, np.sqrt((wrench**2).mean(axis=0)).tolist(), strict=True))
     ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in size.items()}
     touched = {a for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
-    own = [law for law in left if law.channel in touched]
+    # What is late shows in jumps of the command, which no force imitates.
+    own = [law for law in left if law.channel in touched and not set(effects) <= LATE]
     if sum(law.gain for law in own) > HALF * gained:
         most = max(own, key=lambda law: law.gain)
         return Withheld(effects=tuple(effects), reason=f"{most.channel} misses more than half of what it explained")

@@ -60,6 +60,12 @@ def test_axes_that_it_acts_on_may_miss_half_of_what_it_explained_together():
     assert misfit(("battery_sag",), torque(0.001), LEVELS, left, 100) is None
 
 
+def test_a_lag_may_leave_more_than_half_as_no_force_imitates_it():
+    left = [law("torque.x", rms=0.004, share=0.0, gain=300, terms={})]
+    assert misfit(("motor_lag", "command_delay"), torque(0.001), LEVELS, left, 100) is None
+    assert misfit(("motor_lag",), torque(0.001), LEVELS, [law("torque.x", rms=0.004, share=0.0, gain=501, terms={})], 100)
+
+
 def test_far_more_left_without_a_law_takes_it_back_too():
     assert misfit(
         ("rotational_damping",), torque(0.001), LEVELS, [law("torque.x", rms=0.1, share=0, gain=600, terms={})], 100
