@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
+from greybox.discovery.velocity import unmeasured
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.model.identified import IdentifiedModel
@@ -29,7 +30,7 @@ SECONDS = (0.0, 0.1, 0.5, 1.0)
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
-"""Seconds that tell with which velocity and tilt a log of gyro and accelerometer alone begins; they are not judged."""
+"""Seconds that tell with which velocity and tilt a log without position begins; they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
 Squares = dict[tuple[str, float], list[FloatArray]]
@@ -87,7 +88,7 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
 def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
 
-    Where nothing but gyro and accelerometer is there the first `START` s of every segment tell its initial state.
+    Where neither position nor velocity is measured the first `START` s of every segment tell its initial state.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
@@ -95,7 +96,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     groups = reader.judged(data.any_channels)
     steps = {s: max(1, round(s / dt)) for s in SECONDS}
     longest = max(steps.values())
-    blind = {s.name for s in model.physics.sensors} <= {"gyro", "accelerometer"}
+    blind = unmeasured(model)
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
     logliks, samples = list[FloatArray](), 0

@@ -1,6 +1,6 @@
-"""A velocity that nobody measures: which effects bring one into a model of gyro and accelerometer, and is it held?
+"""A velocity that nobody measures: which effects bring one into a model, and does the filter hold it?
 
-Without position, velocity or attitude a model feels its velocity only through a drag or a lift. Without any of these there
+Without position or velocity in the log a model feels its velocity only through a drag or a lift. Without any of these there
 is no velocity at all, and the score of a drag at its null says nothing. A law that is flat at rest (parasitic_drag,
 translational_lift: quadratic) shows it to a simulation but not to the stationary filter, which is linear at rest: that
 velocity is dead reckoning, its errors colour the innovations, and further names would only mend them.
@@ -27,12 +27,18 @@ def moving(bare: PhysicsModel, offered: Iterable[Effect]) -> tuple[str, ...]:
     return () if _has_velocity(bare) else tuple(e.name for e in offered if _has_velocity(bare.with_effect(e)))
 
 
+def unmeasured(model: IdentifiedModel) -> bool:
+    """Whether neither position nor velocity is measured."""
+    sensors = {s.name for s in getattr(model.physics, "sensors", ())}
+    return bool(sensors) and not {"position", "velocity"} & sensors
+
+
 def drifts(model: IdentifiedModel) -> bool:
     """Whether the model has a velocity of which its filter sees nothing, in a reading or in the next rates."""
     dynamics = model.dynamics
     names = dynamics.error_states.names
     v = [i for i, n in enumerate(names) if n.startswith("d_velocity.")]
-    if not v:
+    if not v or not unmeasured(model):
         return False
     window = np.repeat(model.reference_inputs[:, None], sum(dynamics.window) + 1, axis=1)
     a, _, c, _ = Linearisation(dynamics, ()).values(
