@@ -28,7 +28,7 @@ class Candidates:
     """`model` holds the known effects and all candidates; `parameters` maps a candidate to its full parameter names,
     `null` every one of these to its null; `core` are the core parameters that are free (their sigma is above zero) with
     those of known effects; `unjudged` maps an effect to the reason why the log cannot judge it; `moving` are those
-    without which the log feels no velocity (drags, where nothing but the IMU is there)."""
+    without which the log feels no velocity (drags, where neither position nor velocity is measured)."""
 
     model: PhysicsModel
     parameters: Mapping[str, tuple[str, ...]]

@@ -110,7 +110,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
-            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0]) + (START if blind else 0.0)) + 0.1)
+            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0)) + 0.1)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue
@@ -131,8 +131,13 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
 
 
 def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> FloatArray | None:
-    alone = replace(flight, segments=(segment,))
-    return adapt_to_flight(model, alone, START, riccati=runner.riccati).x0
+    alone, steady = replace(flight, segments=(segment,)), replace(model, flight_spread={})
+    return adapt_to_flight(steady, alone, _start(segment), riccati=runner.riccati).x0
+
+
+def _start(segment: Segment) -> float:
+    """`START`, of short segments a third."""
+    return min(START, (segment.n - 1) * segment.dt / 3)
 
 
 def _logliks(filtered: Filtered, t: FloatArray, begin: int) -> FloatArray:

@@ -90,6 +90,11 @@ class Promoted:
     known: bool = True
 
     @property
+    def seen(self) -> bool:
+        """Whether there is a likelihood with disturbance states at all."""
+        return self.known or bool(self.axes)
+
+    @property
     def deficient(self) -> bool:
         """Whether the states are clearly needed."""
         return self.gain > CLEAR

@@ -29,7 +29,7 @@ from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import Problem, few_samples, make_problem
+from greybox.estimation.problem import Problem, Value, few_samples, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.model.effects import CATALOGUE
@@ -67,7 +67,8 @@ levels then grow and shrink again for twenty iterations."""
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """One fit in plain values: `model` holds just the effects that are free; `starts` are unknowns to start from, of which
-    the likeliest is taken; a fit without any starts its noise levels from the data."""
+    the likeliest is taken; a fit without any starts its noise levels from the data. `marginal`: rivals differ in what they
+    must guess of the start of a flight (its velocity), and pay for it."""
 
     effects: tuple[str, ...]
     model: PhysicsModel
@@ -78,6 +79,7 @@ class Task:
     choices: Mapping[str, Any]
     tolerance: float = TOLERANCE
     iterations: int = 60
+    marginal: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +93,17 @@ class Refit:
     n_samples: int
     n_parameters: int
     bounds: frozenset[str]
+    occam: float = 0.0
 
     @property
     def effects(self) -> tuple[str, ...]:
         """The effects that were free."""
         return self.task.effects
+
+    @property
+    def evidence(self) -> float:
+        """Log likelihood less what the initial states cost where that is counted."""
+        return self.loglik - self.occam
 
     @property
     def converged(self) -> bool:
@@ -111,7 +119,7 @@ class Refit:
     @property
     def bic(self) -> float:
         """-2 log L + k ln N over parameters and noise levels, N the number of samples (Schwarz 1978)."""
-        return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
+        return -2 * self.evidence + self.n_parameters * float(np.log(max(self.n_samples, 1)))
 
     def at_bound(self, effect: str) -> bool:
         """Whether every parameter of the effect ended at its bound (nothing was found there)."""
@@ -121,20 +129,26 @@ class Refit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NestedFit:
-    """The fit with `effects` free, the others at their null."""
+    """The fit with `effects` free, the others at their null; `occam` as in its `Refit`."""
 
     effects: tuple[str, ...]
     fit: Fit
+    occam: float = 0.0
 
     @property
-    def loglik(self) -> float:
-        """Log likelihood of all training flights."""
-        return self.fit.loglik
+    def evidence(self) -> float:
+        """Log likelihood of all training flights, less what the initial states cost where that is counted."""
+        return self.fit.loglik - self.occam
+
+    @property
+    def n_parameters(self) -> int:
+        """How many parameters and noise levels were fitted."""
+        return self.fit.n_parameters
 
     @property
     def bic(self) -> float:
         """-2 log L + k ln N over parameters and noise levels, N the number of samples (Schwarz 1978)."""
-        return self.fit.bic
+        return self.fit.bic + 2 * self.occam
 
     def at_bound(self, effect: str) -> bool:
         """Whether every parameter of the effect ended at its bound (nothing was found there)."""
@@ -196,7 +210,7 @@ def solve(task: Task, data: Dataset) -> Refit:
         starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
         theta, status = LevenbergMarquardt(tolerance=task.tolerance, max_iterations=task.iterations).solve(problem, start)
-        value = problem.evaluate(theta, 0)
+        value = problem.evaluate(theta, 1 if task.marginal else 0)
     ends = [
         u.name for u, t in zip(problem.unknowns, theta, strict=True)
         if u.kind == "parameter" and not u.lower < t < u.upper
@@ -205,7 +219,20 @@ def solve(task: Task, data: Dataset) -> Refit:
         task=task, theta={(u.name, u.flight): float(t) for u, t in zip(problem.unknowns, theta, strict=True)},
         status=status, loglik=-value.likelihood, n_samples=sum(r.n for r in problem.records),
         n_parameters=sum(u.kind != "initial" for u in problem.unknowns), bounds=frozenset(ends),
+        occam=_occam(problem, theta, value) if task.marginal and value.valid else 0.0,
     )  # fmt: skip
+
+
+def _occam(problem: Problem, theta: FloatArray, value: Value) -> float:
+    """What the initial states cost: log likelihood at their estimate less that in the mean over their prior (Laplace's
+    approximation, parameters held; Kass and Raftery 1995, sec. 4.1). What the flight does not show costs nothing."""
+    at = [i for i, u in enumerate(problem.unknowns) if u.kind == "initial"]
+    if not at or value.data_hessian is None:
+        return 0.0
+    sigma = np.array([problem.unknowns[i].sigma for i in at])
+    off = (theta[at] - np.array([problem.unknowns[i].mean for i in at])) / sigma
+    _, logdet = np.linalg.slogdet(np.eye(len(at)) + sigma[:, None] * value.data_hessian[np.ix_(at, at)] * sigma)
+    return 0.5 * float(off @ off + logdet)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,7 +274,7 @@ class Nest:
         choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in declared)}
         return Task(
             effects=chosen, model=model, free=free, values=values, choices=choices, starts=tuple(starts),
-            noise=self.noise if start is None else noise_of(start.fit.model),
+            noise=self.noise if start is None else noise_of(start.fit.model), marginal=bool(self.candidates.moving),
         )  # fmt: skip
 
     def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
@@ -299,7 +326,7 @@ class Nest:
             t.model, self.data, free=t.free, values=t.values, noise=t.noise, initialisation="nominal",
             solver=_There(theta=refit.theta, status=refit.status), **t.choices,
         )  # fmt: skip
-        return NestedFit(effects=t.effects, fit=result)
+        return NestedFit(effects=t.effects, fit=result, occam=refit.occam)
 
     def refit(
         self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None,
@@ -322,13 +349,21 @@ class Nest:
             block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
             value = problem.evaluate(theta, scores=block)
             tested = screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
-        return [*tested, *(self._typical(n) for n in unfelt)]
+        return [*tested, *(unscored(n, self.typical((n,))) for n in unfelt)]
 
-    def _typical(self, effect: str) -> Score:
-        """An effect that has no score at its null, with the size that its file calls typical to start a refit from."""
+    def typical(self, effects: Iterable[str]) -> dict[Key, float]:
+        """Parameters of effects at the size that their files call typical: where a refit starts that no score leads."""
         declared = {d.name: d.scale for d in self.candidates.model.parameters}
-        null, own = self.candidates.null, self.candidates.parameters[effect]
-        return unscored(effect, {(p, None): null[p] + declared[p] for p in own})
+        own = [p for e in effects for p in self.candidates.parameters[e]]
+        return {(p, None): self.candidates.null[p] + declared[p] for p in own}
+
+    def unled(self, effects: Iterable[str], start: NestedFit) -> NestedFit:
+        """`refit` of effects some of which no score leads to: these from their typical size."""
+        chosen = tuple(effects)
+        moving = [n for n in chosen if n in self.candidates.moving and n not in start.effects]
+        if not moving:
+            return self.refit(chosen, start=start)
+        return self.settle(self.refits([self.from_each(self.task(chosen, start, self.typical(moving)))])[0])
 
 
 def led(data: Dataset) -> Dataset:

@@ -19,7 +19,7 @@ from greybox.discovery.name import Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
 from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
-from greybox.errors import GreyboxError
+from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
 MOST = 0.5
@@ -91,9 +91,12 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
     if _all_of(at, addition, "sensor"):
         kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
         return misfit_of(addition.effects, kinds, {}, leftover.unnamed, addition.delta_bic)
-    wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)
+    try:
+        wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)
+    except FitError:
+        return None  # a velocity that nothing holds ran away: what the effect does along the flights is not known
     levels = dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
-    return misfit(addition.effects, wrench, levels, leftover.unnamed, addition.delta_bic)
+    return misfit(addition.effects, wrench, levels, leftover.unnamed, addition.delta_bic, leftover.gain)
 
 
 def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None:

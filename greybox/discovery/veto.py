@@ -219,9 +219,11 @@ def wrench_of(model: IdentifiedModel, data: Dataset, effects: Sequence[str], nul
 
 
 def misfit(
-    effects: Sequence[str], wrench: FloatArray, levels: Mapping[str, float], left: Sequence[Leftover], gained: float
-) -> Withheld | None:
-    """Why `effects`, which bring the `wrench` (N, 6) and improved BIC by `gained`, do not fit what is `left` (unnamed axes).
+    effects: Sequence[str], wrench: FloatArray, levels: Mapping[str, float], left: Sequence[Leftover], gained: float,
+    total: float = np.inf,
+) -> Withheld | None:  # fmt: skip
+    """Why `effects`, which bring the `wrench` (N, 6) and improved BIC by `gained`, do not fit what is `left` (unnamed axes,
+    `total` together).
 
     Judged on the axes of the force or torque where the wrench matters against the white noise `levels` of the model.
     """
@@ -231,7 +233,7 @@ def misfit(
     touched = {a for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
     # What is late shows in jumps of the command, which no force imitates.
     own = [law for law in left if law.channel in touched and not set(effects) <= LATE]
-    if sum(law.gain for law in own) > HALF * gained:
+    if min(sum(law.gain for law in own), total) > HALF * gained:
         most = max(own, key=lambda law: law.gain)
         return Withheld(effects=tuple(effects), reason=f"{most.channel} misses more than half of what it explained")
     return misfit_of(effects, {a.split(".")[0] for a in touched}, size, left, gained)

@@ -175,8 +175,8 @@ def discover(
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not (s.judged or s.refit)}
     if unscored := [s.name for s in scores if s.refit]:
         warnings.append(
-            f"nothing shows a velocity without {', '.join(unscored)}: each was refitted at every step, and how small it may "
-            "be to be seen is not known"
+            f"nothing shows a velocity without {', '.join(unscored)}: these can only be refitted, and how small they may be "
+            "to be seen is not known"
         )
     return Discovery(
         verdict=_verdict(additions, leftover), additions=tuple(additions), fit=at.fit, final=at, leftover=leftover,
@@ -325,7 +325,7 @@ def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:
     if not {n for name in addition.rivals for n in name.split("+")} <= set(nest.candidates.parameters):
         return None  # one of them has nothing to be seen with in these logs
     fits = {
-        name: nest.refit((*before.effects, *name.split("+")), start=before).fit for name in addition.rivals
+        name: nest.unled((*before.effects, *name.split("+")), before).fit for name in addition.rivals
     }  # fmt: skip
     try:
         return separating_manoeuvre(fits)

@@ -55,7 +55,8 @@ def oracle(
             chosen = tuple(dict.fromkeys((*kept, *rival.split("+"))))
             # A rival that nothing can show here stands in its group for what it would look like.
             if set(chosen) != set(names) and set(chosen) <= set(offered.names):
-                others[rival] = nest.refit(chosen, start=null, also=told)
+                also = nest.refit(chosen, start=null, also=told)
+                others[rival] = min(also, nest.unled(chosen, null), key=lambda f: f.bic)
     affected, closed = _closed(HeldOut(test), null, told, final)
     return {
         "gain": null.bic - told.bic, "rivals": {r: f.bic - told.bic for r, f in others.items()}, "affected": affected,

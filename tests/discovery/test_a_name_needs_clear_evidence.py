@@ -23,6 +23,8 @@ class Refits:
     bound: tuple[str, ...] = ()
     asked: list[tuple[str, ...]] = field(default_factory=list)
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
+    found: Mapping[str, Any] = field(default_factory=dict)
+    firsts: list[Any] = field(default_factory=list)
     candidates: Any = field(
         default_factory=lambda: SimpleNamespace(
             model=SimpleNamespace(sample_time=0.01), blind=False, parameters=dict.fromkeys(("motor_lag", "command_delay"))
@@ -30,6 +32,7 @@ class Refits:
     )
 
     def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
+        self.firsts.append(first)
         return tuple(sorted(effects))
 
     def refits(self, tasks: Any) -> Any:
@@ -39,7 +42,7 @@ class Refits:
                 effects=chosen, theta=dict(self.theta), bic=self.bic.get(chosen, 1e9),
                 at_bound=lambda name: name in self.bound,
                 comparable=chosen not in self.failed, converged=chosen not in self.failed,
-                fit=SimpleNamespace(converged=chosen not in self.failed),
+                fit=SimpleNamespace(converged=chosen not in self.failed, parameters=dict(self.found)),
             )
             for chosen in tasks
         ]  # fmt: skip
@@ -164,6 +167,14 @@ def test_earlier_additions_are_kept_only_while_they_help_clearly():
     assert still_needed(cast(Nest, failed), at, "b")[0] is None
 
 
+def test_a_delay_that_goes_hands_its_time_to_those_that_stay():
+    found = {n: SimpleNamespace(value=v) for n, v in (("command_delay.d", 0.019), ("pose_delay.d", 0.001), ("thrust.c2", 4))}
+    refits = Refits({("command_delay",): 95.0, ("command_delay", "pose_delay"): 100.0}, found=found)
+    at = cast(NestedFit, refits.refit(("command_delay", "pose_delay")))
+    assert still_needed(cast(Nest, refits), at, "pose_delay")[0] is not None
+    assert refits.firsts[1:] == [None, {("command_delay.d", None): pytest.approx(0.02)}]
+
+
 def test_of_a_pair_the_one_that_is_needed_stays():
     pair = ("command_delay", "motor_lag")
     whole = ("center_of_mass_offset", *pair)
@@ -209,12 +220,13 @@ def test_next_to_a_lag_that_is_known_a_short_delay_keeps_its_name():
 class Likely:
     """A fit with a likelihood, BIC from it without a price."""
 
-    loglik: float
+    evidence: float
     effects: tuple[str, ...] = ()
+    n_parameters: int = 5
 
     @property
     def bic(self) -> float:
-        return -2 * self.loglik
+        return -2 * self.evidence
 
 
 @dataclass(frozen=True)
@@ -224,7 +236,7 @@ class Likelihoods(Refits):
     def refits(self, tasks: Any) -> Any:
         found = super().refits(tasks)
         for f in found:
-            f.loglik = -f.bic / 2
+            f.evidence, f.n_parameters = -f.bic / 2, 6
         return found
 
 
@@ -235,9 +247,10 @@ def test_what_has_no_score_is_refitted_in_any_case_and_tested_by_its_likelihood_
     found = next_addition(cast(Nest, refits), at, scores, 0.05)
     assert found is not None
     assert found.effects == ("drag",)
-    # chi^2 of 20 with one degree of freedom, three candidates: two tails of 4.472 standard deviations each.
-    assert found.p_value == pytest.approx(3 * 7.744e-6, rel=1e-3)
+    # chi^2 of 20 with one degree of freedom, two candidates: two tails of 4.472 standard deviations each.
+    assert found.p_value == pytest.approx(2 * 7.744e-6, rel=1e-3)
     assert refits.asked == [("drag",), ("lift",)]
+    assert next_addition(cast(Nest, refits), at, scores, 1e-5) is None
 
 
 @pytest.mark.parametrize(
