@@ -20,9 +20,9 @@ SHORT = ("gyro_bias", "rotational_damping", "center_of_mass_offset", "parasitic_
 DAMPING = RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)
 
 
-def shorten(patch: pytest.MonkeyPatch, *more: str, without: str = "") -> None:
-    """Leave a few effects in the catalogue, and `more`, but not `without`."""
-    some = tuple(e for e in CATALOGUE if e.name in (*SHORT, *more) and e.name != without)
+def shorten(patch: pytest.MonkeyPatch, *more: str) -> None:
+    """Leave a few effects in the catalogue, and `more`."""
+    some = tuple(e for e in CATALOGUE if e.name in (*SHORT, *more))
     patch.setattr(greybox.discovery.candidates, "CATALOGUE", some)
 
 
