@@ -19,9 +19,9 @@ import numpy as np
 import scipy.stats
 
 from greybox.data import Dataset
-from greybox.discovery.candidates import Candidates
+from greybox.discovery.candidates import LOOK_ALIKES, Candidates
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit
-from greybox.discovery.screen import Score
+from greybox.discovery.screen import Key, Score
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
@@ -118,6 +118,24 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
         if not any(r.converged and r.bic < rival.bic - CLEAR for r in filtered.contest(with_one)):
             return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
+
+
+def unfiltered(plain: Nest, start: NestedFit, at: NestedFit) -> NestedFit | None:
+    """The fit of `at` without its filter of the IMU, and perhaps without one of its lags and delays, where that is not
+    clearly worse: a filter that came in while much was missing may stand in for it, and a delay then mends the filter.
+
+    `plain` are the candidates without the filter and `start` a fit there, whose noise levels it starts from.
+    """
+    late = [e.value for n, e in at.fit.parameters.items() if n.startswith("low_pass.")]
+    timed = [e for e in at.effects if any(e in g for g in LOOK_ALIKES)]
+    tasks = []
+    for gone in (None, *timed):
+        chosen = tuple(e for e in at.effects if e != gone)
+        known: dict[Key, float] = {(n, None): e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in chosen}
+        more = {k: v + float(np.mean(late)) for k, v in known.items() if k[0].split(".")[0] in timed}
+        tasks += [plain.task(chosen, start=start, first=first) for first in (known, known | more)]
+    best = min((r for r in plain.contest(tasks, at.bic) if r.comparable), key=lambda r: r.bic, default=None)
+    return plain.settle(best) if best is not None and best.bic < at.bic + CLEAR else None
 
 
 def may_be_filtered(rival: NestedFit, scores: Sequence[Score], alpha: float) -> bool:

@@ -34,6 +34,7 @@ from greybox.discovery.sensor_noise import (
     parts_of,
     plain_model,
     sensor_table,
+    unfiltered,
 )
 from greybox.discovery.spectrum import spectrum
 from greybox.discovery.stability import stability
@@ -225,7 +226,7 @@ class _Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Search:
-    """Screen, add, repeat, prune: with the settings of one run."""
+    """Screen, add, repeat, prune: with the settings of one run. `filters`: whether a filter of the IMU may come in."""
 
     held_out: HeldOut | None
     alpha: float
@@ -233,6 +234,7 @@ class _Search:
     max_effects: int
     say: Progress
     interim: Callable[[NestedFit, Iterable[Addition]], None]
+    filters: bool = True
 
     def run(self, nest: Nest, at: NestedFit, before: _Found | None = None) -> _Found:
         """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself."""
@@ -243,6 +245,7 @@ class _Search:
             filters |= before.filters
             at, additions, warnings = prune(nest, at, before.additions, single=True)
         ready: list[Score] | None = None
+        plain: tuple[Nest, NestedFit] | None = None
         for step in range(self.max_effects + 1):
             if drifts(at.fit.model):
                 scores = []
@@ -260,12 +263,13 @@ class _Search:
             withheld += refused_now
             if found is None:
                 break
-            if set(TIMING) & set(found.effects):
+            if self.filters and set(TIMING) & set(found.effects):
                 # A filter of the IMU looks like a lag or a delay.
                 ready = self._screen(nest, found.after, step + 1)
                 instead = filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
                 if instead is not None:
                     self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
+                    plain = nest, found.after
                     nest, at, gains = instead
                     filters |= gains
                     ready = None
@@ -275,10 +279,17 @@ class _Search:
             at = found.after
             self.interim(at, additions)
         at, additions, removed = prune(nest, at, additions)
-        return _Found(
+        done = _Found(
             nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
             filters=filters,
         )  # fmt: skip
+        lean = None if plain is None else unfiltered(*plain, at)
+        if plain is None or lean is None:
+            return done
+        self.say("the IMU is not filtered after all", 0.71)
+        kept = [replace(a, effects=tuple(e for e in a.effects if e in lean.effects)) for a in additions]
+        left = replace(done, nest=plain[0], at=lean, additions=[a for a in kept if a.effects], filters={})
+        return replace(self, filters=False).run(plain[0], lean, left)
 
     def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
         self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))

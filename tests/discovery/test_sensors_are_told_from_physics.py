@@ -7,6 +7,8 @@ import pytest
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery import sensor_noise as noise
+from greybox.discovery.candidates import candidates
+from greybox.discovery.nested import Nest
 from greybox.estimation.fit import fit
 from greybox.model.model import build_model
 from greybox.model.sensor_noise import NoisePart, SensorNoise
@@ -115,3 +117,24 @@ def test_model_files_have_white_sensors(flown, tmp_path):
     assert plain.covariance_names == dressed.model.covariance_names
     assert plain.save(tmp_path / "model.json").exists()
     assert isinstance(data, Dataset)
+
+
+@pytest.mark.parametrize("cutoff", [None, 20.0])
+def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
+    vehicle, log = flown
+    if cutoff is not None:
+        log = low_passed(log, ["p", "q", "r", "ax", "ay", "az"], cutoff)
+    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
+    plain = Nest(candidates=candidates(vehicle, data.channels, sample_time=0.01), data=data)
+    start = plain.refit(())
+    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=noise.FILTER) for s in ("gyro", "accelerometer"))
+    filtered = noise.with_parts(plain, parts)
+    first = {(f"{p.name}.T", None): noise.FILTER for p in parts}
+    at = filtered.refit((), start=start, first=first)
+    lean = noise.unfiltered(plain, start, at)
+    if cutoff is None:
+        assert lean is not None
+        assert lean.effects == ()
+        assert not noise.parts_of(lean.fit.model.dynamics)
+    else:
+        assert lean is None
