@@ -19,7 +19,9 @@ from greybox.model.vehicle import Vehicle
 
 TOGETHER = (("motor_lag", "command_delay"),)
 """Effects whose slopes at the null are the same: they always enter a refit alone and together."""
-LOOK_ALIKES = (("motor_lag", "command_delay", "sensor_delay", "pose_delay"),)
+TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
+"""Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
+LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""
 
 

@@ -90,9 +90,9 @@ class Promoted:
     known: bool = True
 
     @property
-    def seen(self) -> bool:
-        """Whether there is a likelihood with disturbance states at all."""
-        return self.known or bool(self.axes)
+    def deficiency(self) -> float | None:
+        """`gain`, None where there is no likelihood with disturbance states at all."""
+        return self.gain if self.known or self.axes else None
 
     @property
     def deficient(self) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.stats
 
-from greybox.discovery.candidates import LOOK_ALIKES, TOGETHER
+from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
 from greybox.discovery.nested import ROOM, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
@@ -65,11 +65,11 @@ def next_addition(
         if any(s.name in pair for s in passing) and all(n in by_name and by_name[n].judged for n in pair):
             sets.append(pair)
     sets = [c for c in sets if frozenset(c) not in refused]
-    firsts = [{k: v for n in chosen for k, v in by_name[n].estimate.items()} for chosen in sets]
-    tasks = [nest.task((*at.effects, *c), start=at, first=f) for c, f in zip(sets, firsts, strict=True)]
-    tasks = [
-        nest.from_each(t) if any(by_name[n].refit for n in c) else t for t, c in zip(tasks, sets, strict=True)
-    ]  # fmt: skip
+    tasks = []
+    for chosen in sets:
+        first = {k: v for n in chosen for k, v in by_name[n].estimate.items()}
+        task = nest.task((*at.effects, *chosen), start=at, first=first)
+        tasks.append(nest.from_each(task) if any(by_name[n].refit for n in chosen) else task)
     fits: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.contest(tasks), strict=True):
         if found.comparable and not any(found.at_bound(n) for n in chosen):
@@ -115,14 +115,13 @@ def _likelihood_ratio(at: NestedFit, found: Refit, tests: int) -> float:
 def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: Mapping[str, float]) -> dict[str, float]:
     """Equal rivals where what was found is a time much shorter than a sample: lag and delay of the command in any case, and
     what is not far behind; `gaps`: rival -> BIC behind."""
-    timing = next((g for g in LOOK_ALIKES if set(new) <= set(g)), ())
     times = [abs(v) for (n, _), v in found.theta.items() if n.split(".")[0] in new]
-    if len(new) != 1 or not timing or max(times, default=np.inf) >= SHORT * nest.candidates.model.sample_time:
+    if len(new) != 1 or new[0] not in TIMING or max(times, default=np.inf) >= SHORT * nest.candidates.model.sample_time:
         return {}
     # Next to a lag that is known or found already, a delay is no other word for it.
     free = [p for p in TOGETHER if set(p) & set(found.effects) == set(new) and set(p) <= set(nest.candidates.parameters)]
     pair = next(iter(free), ())
-    near = [n for n, g in gaps.items() if g < (ROOM if n in timing else CLEAR)]
+    near = [n for n, g in gaps.items() if g < (ROOM if n in TIMING else CLEAR)]
     names = tuple(dict.fromkeys((*new, *pair, *near)))
     return dict.fromkeys(names, 1 / len(names)) if len(names) > 1 else {}
 
@@ -168,8 +167,9 @@ def _handed_over(at: NestedFit, effect: str) -> list[dict[tuple[str, str | None]
 
     Only their sum is seen well, and between them lie kinks (delays of whole samples) that stop a fit on its way.
     """
-    rivals = next((g for g in LOOK_ALIKES if effect in g), ())
-    times = {n: e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in rivals}
+    if effect not in TIMING:
+        return []
+    times = {n: e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in TIMING}
     gone = sum(v for n, v in times.items() if n.split(".")[0] == effect)
     return [{(n, None): v + gone} for n, v in times.items() if n.split(".")[0] != effect]
 

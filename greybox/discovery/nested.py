@@ -24,6 +24,7 @@ from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
 from greybox.discovery.differences import widened
 from greybox.discovery.screen import Key, Score, screen, unscored
+from greybox.discovery.velocity import has_velocity
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -337,7 +338,7 @@ class Nest:
 
     def screen(self, at: NestedFit, *, alpha: float = 0.05, draws: int = 999, seed: int = 0) -> list[Score]:
         """Score tests of every candidate that is not in `at`."""
-        unfelt = () if "velocity.x" in at.fit.model.dynamics.states.names else self.candidates.moving
+        unfelt = () if has_velocity(at.fit.model.dynamics) else self.candidates.moving
         names = {n: p for n, p in self.candidates.parameters.items() if n not in (*at.effects, *unfelt)}
         null = {p: self.candidates.null[p] for ps in names.values() for p in ps}
         with threadpool_limits(limits=1):

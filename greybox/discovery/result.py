@@ -162,8 +162,8 @@ class Discovery:
             "sensors": [dict(s) for s in self.sensors],
             "locations": self.locations(),
             "deficiency": {
-                "before": None if self.before is None or not self.before.seen else self.before.gain,
-                "after": None if self.leftover is None or not self.leftover.seen else self.leftover.gain,
+                "before": None if self.before is None else self.before.deficiency,
+                "after": None if self.leftover is None else self.leftover.deficiency,
             },
             "stability": [s.to_dict() for s in self.stability],
             "held_out_errors": [

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.stats
 
 from greybox.data import Dataset
-from greybox.discovery.candidates import LOOK_ALIKES, Candidates
+from greybox.discovery.candidates import TIMING, Candidates
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit
 from greybox.discovery.screen import Key, Score
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -30,10 +30,8 @@ from greybox.validation.whiteness import whiteness
 
 CLEAR = 10.0
 """BIC difference above which a kind of noise stays."""
-TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
-"""Effects that a filter of the IMU looks like."""
 DELAYS = ("sensor_delay", "pose_delay")
-"""Those of them that nothing but a filter tells from one on slow signals."""
+"""Those of `TIMING` that nothing but a filter tells from one on slow signals."""
 IMU = ("p", "q", "r", "ax", "ay", "az")
 """Innovations of gyro and accelerometer."""
 FILTER = 0.004
@@ -127,7 +125,7 @@ def unfiltered(plain: Nest, start: NestedFit, at: NestedFit) -> NestedFit | None
     `plain` are the candidates without the filter and `start` a fit there, whose noise levels it starts from.
     """
     late = [e.value for n, e in at.fit.parameters.items() if n.startswith("low_pass.")]
-    timed = [e for e in at.effects if any(e in g for g in LOOK_ALIKES)]
+    timed = [e for e in at.effects if e in TIMING]
     tasks = []
     for gone in (None, *timed):
         chosen = tuple(e for e in at.effects if e != gone)

@@ -13,18 +13,18 @@ from collections.abc import Iterable
 import numpy as np
 
 from greybox.estimation.filtering import Filter
-from greybox.estimation.gain import Linearisation
+from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 
 HELD = 1e-2
-"""Standard deviations by which 1 m/s must move some innovation in one sample."""
+"""Standard deviations by which 1 m/s must move some innovation, of this sample or the next."""
 
 
 def moving(bare: PhysicsModel, offered: Iterable[Effect]) -> tuple[str, ...]:
     """Effects with which alone the log of the `bare` model feels a velocity; none where it does without any."""
-    return () if _has_velocity(bare) else tuple(e.name for e in offered if _has_velocity(bare.with_effect(e)))
+    return () if has_velocity(bare) else tuple(e.name for e in offered if has_velocity(bare.with_effect(e)))
 
 
 def unmeasured(model: IdentifiedModel) -> bool:
@@ -34,24 +34,16 @@ def unmeasured(model: IdentifiedModel) -> bool:
 
 
 def drifts(model: IdentifiedModel) -> bool:
-    """Whether the model has a velocity of which its filter sees nothing, in a reading or in the next rates."""
-    dynamics = model.dynamics
-    names = dynamics.error_states.names
-    v = [i for i, n in enumerate(names) if n.startswith("d_velocity.")]
-    if not v or not unmeasured(model):
+    """Whether the model has a velocity of which its filter sees nothing, in a reading or in the next one."""
+    if not has_velocity(model.dynamics) or not unmeasured(model):
         return False
-    window = np.repeat(model.reference_inputs[:, None], sum(dynamics.window) + 1, axis=1)
-    a, _, c, _ = Linearisation(dynamics, ()).values(
-        model.reference_state, window, model.parameter_vector(), model.sample_time
-    )  # fmt: skip
-    spread = np.sqrt(np.diag(Filter(model).riccati.S))
-    seen = [np.abs(c[:, v]) / spread[:, None]]
-    channels = dynamics.innovations.names
-    for axis, gyro in (("x", "p"), ("y", "q"), ("z", "r")):
-        if gyro in channels and f"d_rate.{axis}" in names:
-            seen.append(np.abs(a[names.index(f"d_rate.{axis}"), v])[None] / spread[channels.index(gyro)])
-    return max(float(s.max()) for s in seen) < HELD
+    runner = Filter(model)
+    a, _, c, _ = runner.linear
+    v = [i for i, n in enumerate(model.dynamics.error_states.names) if n.startswith("d_velocity.")]
+    seen = np.concatenate([c, c @ a], axis=1)[:, [*v, *(len(a) + i for i in v)]]
+    return float((np.abs(seen) / np.sqrt(np.diag(runner.riccati.S))[:, None]).max()) < HELD
 
 
-def _has_velocity(model: PhysicsModel) -> bool:
-    return "velocity.x" in model.states.names
+def has_velocity(dynamics: Dynamics) -> bool:
+    """Whether a velocity is among the states."""
+    return "velocity.x" in dynamics.states.names

@@ -52,6 +52,7 @@ as long as much else is missing they are those of the rest, and a right addition
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
 LATE = frozenset(n for pair in TOGETHER for n in pair)
+"""Effects on when a command acts, not on what force it brings."""
 CONSTANT = frozenset({"constant_force", "steady_wind"})
 """Effects without a signal: any law has a mean, which they take."""
 HALF = 0.5

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
-from greybox.discovery.candidates import candidates
+from greybox.discovery.candidates import TIMING, candidates
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune, stands_in
@@ -26,7 +26,6 @@ from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.result import Discovery
 from greybox.discovery.screen import Score
 from greybox.discovery.sensor_noise import (
-    TIMING,
     coloured_sensors,
     dressed,
     filtered_imu,
@@ -226,7 +225,7 @@ class _Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Search:
-    """Screen, add, repeat, prune: with the settings of one run. `filters`: whether a filter of the IMU may come in."""
+    """Screen, add, repeat, prune: with the settings of one run. `may_filter`: whether a filter of the IMU may come in."""
 
     held_out: HeldOut | None
     alpha: float
@@ -234,7 +233,7 @@ class _Search:
     max_effects: int
     say: Progress
     interim: Callable[[NestedFit, Iterable[Addition]], None]
-    filters: bool = True
+    may_filter: bool = True
 
     def run(self, nest: Nest, at: NestedFit, before: _Found | None = None) -> _Found:
         """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself."""
@@ -263,7 +262,7 @@ class _Search:
             withheld += refused_now
             if found is None:
                 break
-            if self.filters and set(TIMING) & set(found.effects):
+            if self.may_filter and set(TIMING) & set(found.effects):
                 # A filter of the IMU looks like a lag or a delay.
                 ready = self._screen(nest, found.after, step + 1)
                 instead = filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
@@ -289,7 +288,7 @@ class _Search:
         self.say("the IMU is not filtered after all", 0.71)
         kept = [replace(a, effects=tuple(e for e in a.effects if e in lean.effects)) for a in additions]
         left = replace(done, nest=plain[0], at=lean, additions=[a for a in kept if a.effects], filters={})
-        return replace(self, filters=False).run(plain[0], lean, left)
+        return replace(self, may_filter=False).run(plain[0], lean, left)
 
     def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
         self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))

@@ -39,19 +39,29 @@ class Filtered:
         return spread[self.record.pattern]
 
 
+def at_reference(model: IdentifiedModel) -> tuple[FloatArray, ...]:
+    """(A, G, C, D) of the model at its reference point, as in greybox.estimation.gain."""
+    return Linearisation(model.dynamics, ()).values(
+        model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
+    )
+
+
+def _reference_window(model: IdentifiedModel) -> FloatArray:
+    """Reference commands for every row that a step looks at, (n_u, past + 1 + future)."""
+    return np.repeat(model.reference_inputs[:, None], sum(model.dynamics.window) + 1, axis=1)
+
+
 class Filter:
-    """The identified filter: stationary gain from the model's noise levels, linearised at its reference point."""
+    """The identified filter: stationary gain from the model's noise levels, linearised at its reference point (`linear`:
+    A, G, C, D there)."""
 
     def __init__(self, model: IdentifiedModel, *, use_compiler: bool = True) -> None:
         self.model = model
         self.engine: Engine = engine_for(model.dynamics, (), use_compiler=use_compiler)
-        lin = Linearisation(model.dynamics, ())
-        past, future = model.dynamics.window
-        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
-        values = lin.values(model.reference_state, window, model.parameter_vector(), model.sample_time)
+        self.linear = at_reference(model)
         self.riccati: Riccati = stationary(
-            values, model.process_noise**2, model.sensor_noise**2, model.weak**2,
-            lost=lost_command(model.dynamics, model.reference_state, window, model.sample_time),
+            self.linear, model.process_noise**2, model.sensor_noise**2, model.weak**2,
+            lost=lost_command(model.dynamics, model.reference_state, _reference_window(model), model.sample_time),
         )  # fmt: skip
 
     def run(self, segment: Segment, p: FloatArray | None = None, x0: FloatArray | None = None) -> Filtered:

@@ -25,7 +25,6 @@ import numpy.typing as npt
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.filtering import Filter, Filtered
-from greybox.estimation.gain import Linearisation
 from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray, evaluate
@@ -64,11 +63,7 @@ class Propagator:
         self.runner = runner
         names, self.spread = _parameter_covariance(model, extra or {}) if parameters else ((), np.zeros((0, 0)))
         self.engine: Engine = engine_for(model.dynamics, names, use_compiler=use_compiler)
-        past, future = model.dynamics.window
-        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
-        _, g, _, d = Linearisation(model.dynamics, ()).values(
-            model.reference_state, window, model.parameter_vector(), model.sample_time
-        )
+        _, g, _, d = runner.linear
         self.push, self.through = g, d
         if noise is None:
             noise = model.process_noise if model.horizon_noise is None else model.horizon_noise

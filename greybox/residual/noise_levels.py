@@ -18,7 +18,8 @@ import scipy.optimize
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable, engine_for
-from greybox.estimation.gain import Linearisation, stationary
+from greybox.estimation.filtering import at_reference
+from greybox.estimation.gain import stationary
 from greybox.estimation.record import make_record
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -39,11 +40,7 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
     groups = list(dict.fromkeys(heads))
     members = np.array([groups.index(h) for h in heads])
     engine = engine_for(model.dynamics, ())
-    past, future = model.dynamics.window
-    window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
-    linear = Linearisation(model.dynamics, ()).values(
-        model.reference_state, window, model.parameter_vector(), model.sample_time
-    )
+    linear = at_reference(model)
     runs = [(make_record(engine, s), model.flight_vector(f.name)) for f in data for s in f.segments]
 
     def cost(levels: FloatArray) -> float:

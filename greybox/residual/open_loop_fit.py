@@ -37,7 +37,6 @@ from greybox.data import Dataset
 from greybox.errors import DataError, FitError
 from greybox.estimation.engine import Engine, GainTable, engine_for
 from greybox.estimation.filtering import Filter
-from greybox.estimation.gain import Linearisation
 from greybox.estimation.record import Record, make_record
 from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
@@ -180,11 +179,7 @@ class Paths:
         self.records = [r for r in records if r.n > max(horizons) + stride]
         if not self.records:
             raise DataError("no flight is long enough for multi-step errors", expected=f"over {max(horizons)} samples")
-        past, future = model.dynamics.window
-        window = np.repeat(model.reference_inputs[:, None], past + 1 + future, axis=1)
-        _, self.push, _, self.through = Linearisation(model.dynamics, ()).values(
-            model.reference_state, window, model.parameter_vector(), model.sample_time
-        )
+        _, self.push, _, self.through = self.runner.linear
         total: FloatArray = np.zeros((self.chosen.size, self.engine.ne))
         count = np.zeros_like(total)
         for record in self.records:

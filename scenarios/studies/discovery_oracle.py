@@ -44,8 +44,7 @@ def oracle(
     task = nest.task(names, start=null, first={(n, None): v for n, v in truth.items()})
     if set(names) & set(offered.moving):
         # The truth is far from the noise levels of the null model, from where fits without a velocity may go astray.
-        size = {d.name: offered.null.get(d.name, 0.0) + d.scale for d in offered.model.parameters}
-        typical = nest.task(names, start=null, first={(n, None): size[n] for n in truth})
+        typical = nest.task(names, start=null, first=nest.typical(names))
         task = nest.from_each(replace(task, starts=(*task.starts, *typical.starts)))
     told = nest.settle(nest.refits([task])[0])
     others: dict[str, NestedFit] = {}
@@ -55,8 +54,9 @@ def oracle(
             chosen = tuple(dict.fromkeys((*kept, *rival.split("+"))))
             # A rival that nothing can show here stands in its group for what it would look like.
             if set(chosen) != set(names) and set(chosen) <= set(offered.names):
-                also = nest.refit(chosen, start=null, also=told)
-                others[rival] = min(also, nest.unled(chosen, null), key=lambda f: f.bic)
+                fits = [nest.refit(chosen, start=null, also=told)]
+                fits += [nest.unled(chosen, null)] if set(chosen) & set(offered.moving) else []
+                others[rival] = min(fits, key=lambda f: f.bic)
     affected, closed = _closed(HeldOut(test), null, told, final)
     return {
         "gain": null.bic - told.bic, "rivals": {r: f.bic - told.bic for r, f in others.items()}, "affected": affected,

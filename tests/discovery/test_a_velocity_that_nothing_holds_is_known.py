@@ -31,7 +31,13 @@ def search(hidden: str) -> Nest:
     return Nest(candidates=candidates(nominal(plant, "off", seed), train.channels, sample_time=0.01), data=led(train))
 
 
-@pytest.mark.parametrize(("effect", "unseen"), [("rotor_drag", False), ("parasitic_drag", True)])
+@pytest.mark.parametrize(
+    ("effect", "unseen"),
+    [
+        ("rotor_drag", False), ("axial_inflow", False), ("blade_flapping", False), ("parasitic_drag", True),
+        ("translational_lift", True),
+    ],
+)  # fmt: skip
 def test_a_law_that_is_flat_at_rest_does_not_hold_the_velocity(effect: str, unseen: bool):
     nest = search(effect)
     null = nest.refit(())
