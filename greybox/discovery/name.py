@@ -109,7 +109,8 @@ def _likelihood_ratio(at: NestedFit, found: Refit, tests: int) -> float:
     """Level of the likelihood ratio test (Wilks 1938), times the number of candidates (Bonferroni). In the likelihoods the
     initial states have paid for themselves: a velocity that is not there without the effect."""
     dof = found.n_parameters - at.n_parameters
-    return min(1.0, tests * float(scipy.stats.chi2.sf(2 * (found.evidence - at.evidence), dof)))
+    level = float(scipy.stats.chi2.sf(2 * (found.evidence - at.evidence), dof))
+    return min(1.0, tests * max(level, float(np.finfo(float).tiny)))  # beyond what a float holds it is small, not zero
 
 
 def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: Mapping[str, float]) -> dict[str, float]:
