@@ -61,6 +61,7 @@ class Flow:
     quaternion: Expr = None  # (w, x, y, z), body to world
     position: Expr = None  # of the centre of mass, world [m]
     center_of_mass: Expr = None  # from the body origin, body axes [m]
+    memory: Expr = None  # what this effect remembers (see `Effect.memory`)
     arms: Expr = None  # r_i, hub positions from the centre of mass (3 x n) [m]
     mass: Expr = None  # [kg]
     measured: Any = None  # sensor name -> value after earlier members of the chain
@@ -100,6 +101,17 @@ class Needs:
     effects: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Remembered:
+    """One state of an effect's own, as a temperature or the velocity of a wake. `size` is typical of it: the spread of what
+    it may be, around zero, when a flight begins."""
+
+    name: str
+    unit: str
+    size: float
+    meaning: str = ""
+
+
 class Effect(ABC):
     """Base of all effects: declarations as class attributes, the formula in `apply`.
 
@@ -127,6 +139,14 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """The formula: slots of the stage -> expressions. `p` holds the effect's own parameters by short name."""
+
+    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+        """States of its own, for an effect that remembers (stages thrust, wrench); `flow.memory` has them in this order."""
+        return ()
+
+    def remember(self, flow: Flow, p: Mapping[str, Expr]) -> Expr:
+        """d memory / dt [unit / s], one value per state of `memory`, with all of `flow` known."""
+        raise NotImplementedError(f"effect {self.name} has a memory and does not say how it changes")
 
     def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
         """Further named numbers that follow from the parameters (reported with error bars, never fitted)."""

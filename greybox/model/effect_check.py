@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.model.effect import EARLY, SLOTS, Effect, Flow
+from greybox.model.effect import EARLY, SLOTS, Effect, Flow, Remembered
 from greybox.model.example import example_vehicle
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import Parameter
@@ -49,7 +49,8 @@ def check_effect(effect: Effect, *, where: str = "effect") -> None:
     _check_slots(effect, watched.returned, say, where)
     if not (np.isfinite(away).all() and np.isfinite(at_null).all()):
         raise ModelError(f"{say} gives values that are not finite", where=where, fix="guard divisions and roots")
-    difference = np.abs(at_null - (without := _evaluate(_model(), {})))
+    without = _evaluate(_model(), {})
+    difference = np.abs(at_null[:, : without.shape[1]] - without)
     if (difference > 1e-9 * (1 + np.abs(without))).any():
         raise ModelError(
             f"{say} does not vanish at its null", where=where, got=f"a difference of {difference.max():.3g}",
@@ -115,6 +116,14 @@ class _Watched(Effect):
         """As the effect."""
         return self.inner.derived(p, vehicle)
 
+    def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
+        """As the effect."""
+        return self.inner.memory(vehicle)
+
+    def remember(self, flow: Flow, p: Mapping[str, Expr]) -> Expr:
+        """As the effect."""
+        return self.inner.remember(flow, p)
+
 
 def _model(*effects: Effect) -> PhysicsModel:
     return PhysicsModel(vehicle=example_vehicle(), effects=effects, sensors=SENSORS)
@@ -126,15 +135,20 @@ def _moved(declared: tuple[Parameter, ...], scales: float) -> dict[str, float]:
 
 
 def _evaluate(model: PhysicsModel, values: Mapping[str, float]) -> FloatArray:
-    """Rates of the rigid body, and outputs, in three states of fast flight with settled rotors: shape (3, n)."""
+    """Rates of the rigid body, outputs, and rates of what effects remember, in three states of fast flight with settled
+    rotors: shape (3, n)."""
     x, u, p = (ca.SX.sym(n, s) for n, s in zip("xup", (len(model.states), len(model.inputs), len(model.parameters))))
-    f = ca.Function("f", [x, u, p], [ca.densify(ca.vertcat(model.f(0, x, u, p)[:RIGID], model.h(0, x, u, p)))])
+    remembered = sum(n.startswith("memory.") for n in model.states.names)
+    rates = model.f(0, x, u, p)
+    seen = ca.vertcat(rates[:RIGID], model.h(0, x, u, p), rates[RIGID : RIGID + remembered])
+    f = ca.Function("f", [x, u, p], [ca.densify(seen)])
     vector = [values.get(d.name, d.nominal) for d in model.parameters]
     rng = np.random.default_rng(0)
     rows = []
     for _ in range(3):
         q, u_k = rng.normal(size=4), rng.uniform(0.3, 0.9, size=model.vehicle.n_rotors)
         rigid = [*rng.normal(size=2), 2.0, *rng.normal(size=3), *(q / np.linalg.norm(q)), *(3 * rng.normal(size=3))]
-        rotors = u_k[: len(model.states) - RIGID]
-        rows.append(f([*rigid, *rotors], [*u_k, 10.5][: len(model.inputs)], vector).full().ravel())
+        memory = np.random.default_rng(1).normal(size=remembered)  # leaves the states of flight as they are without
+        rotors = u_k[: len(model.states) - RIGID - remembered]
+        rows.append(f([*rigid, *memory, *rotors], [*u_k, 10.5][: len(model.inputs)], vector).full().ravel())
     return np.array(rows)

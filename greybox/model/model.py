@@ -26,7 +26,7 @@ import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import quat_derivative, quat_difference, quat_exp, quat_multiply, quat_normalize, rotation_matrix
-from greybox.model.effect import SLOTS, Effect, Flow
+from greybox.model.effect import SLOTS, Effect, Flow, Remembered
 from greybox.model.effects import effect_by_name
 from greybox.model.parameter import Parameter
 from greybox.model.sensor import Sensor
@@ -40,7 +40,10 @@ BLOCKS: Mapping[str, tuple[str, str, int, int]] = {
     "attitude": ("wxyz", "-", 4, 3),
     "rate": ("xyz", "rad/s", 3, 3),
 }
-"""State blocks of the rigid body: letters, unit, raw size, error size. Rotor states follow where there is a lag."""
+"""State blocks of the rigid body: letters, unit, raw size, error size. What effects remember follows, and rotor states where
+there is a lag."""
+REMEMBERING = ("thrust", "wrench")
+"""Stages whose effects may have states of their own."""
 POSE_REACH = 0.05
 """How far back commands are looked up for a late pose [s]; before that the oldest of them stands."""
 APERTURE = 0.01
@@ -88,6 +91,10 @@ class PhysicsModel:
         for e in self.effects:
             if missing := e.missing(self.vehicle, {s.name for s in self.sensors}):
                 raise ModelError(f"effect {e.name} needs {', '.join(missing)}", fix="add it, or leave the effect out")
+            if e.stage not in REMEMBERING and e.memory(self.vehicle):
+                raise ModelError(
+                    f"effect {e.name} of stage {e.stage} has a memory", expected=f"one of stage {' or '.join(REMEMBERING)}"
+                )
         lags = [e.name for e in self.effects if "lag" in e.early]
         if len(lags) > 1:
             raise ModelError(f"two lags of the rotors: {', '.join(lags)}", fix="keep one of them")
@@ -131,6 +138,15 @@ class PhysicsModel:
 
     def _has(self, slot: str) -> bool:
         return any(slot in e.early for e in self.effects)
+
+    @cached_property
+    def _memory(self) -> dict[str, tuple[Remembered, ...]]:
+        """Effect -> its own states, in the order of the state vector."""
+        return {e.name: own for e in self.effects if (own := e.memory(self.vehicle))}
+
+    @cached_property
+    def _remembered(self) -> tuple[Remembered, ...]:
+        return tuple(r for own in self._memory.values() for r in own)
 
     @cached_property
     def _needs_vbat(self) -> bool:
@@ -205,14 +221,19 @@ class PhysicsModel:
             rows += [Signal(name=f"turn.{a}", unit="rad/s", meaning="noise of the attitude kinematics") for a in "xyz"]
         return Layout(rows)
 
+    def _symbols(self) -> dict[str, Expr]:
+        """Symbols of all state blocks but the rotors'."""
+        own = {"memory": ca.SX.sym("memory", len(self._remembered))} if self._remembered else {}
+        return {b: ca.SX.sym(b, BLOCKS[b][2]) for b in BLOCKS} | own
+
     @cached_property
     def _kept(self) -> tuple[str, ...]:
         """State blocks that some sensor feels, directly or through other states (structural observability)."""
-        x = {b: ca.SX.sym(b, BLOCKS[b][2]) for b in BLOCKS}
+        x = self._symbols()
         nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
         p, w = ca.SX.sym("p", len(self.parameters)), ca.SX.sym("w", 6)
         sf, alpha, flow = self._rigid_body(x, nu, nu * 0, u, p, w)
-        rates = {
+        rates = self._changes(flow, x, p) | {
             "position": x["velocity"],
             "velocity": flow.rotation @ sf,
             "attitude": quat_derivative(x["attitude"], x["rate"]),
@@ -236,15 +257,16 @@ class PhysicsModel:
         """Whether forces or moments depend on the position (as near the ground)."""
         if not self.effects or "position" not in self._kept:
             return False
-        x = {b: ca.SX.sym(b, BLOCKS[b][2]) for b in BLOCKS}
+        x = self._symbols()
         nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
         sf, alpha, _ = self._rigid_body(x, nu, nu * 0, u, ca.SX.sym("p", len(self.parameters)), ca.DM.zeros(6))
         return any(ca.which_depends(ca.vertcat(sf, alpha), x["position"], 1, False))
 
     @cached_property
     def states(self) -> Layout:
-        """Kept rigid-body blocks, then rotor.1..rotor.n where there is a lag."""
+        """Kept rigid-body blocks, memory.<effect>.<name> of effects that remember, rotor.1..rotor.n where there is a lag."""
         rows = [Signal(name=f"{b}.{a}", unit=BLOCKS[b][1], meaning=b) for b in self._kept for a in BLOCKS[b][0]]
+        rows += self._memory_signals("")
         if self._has_lag:
             rows += [Signal(name=f"rotor.{i + 1}", unit="-", meaning="normalised rotor speed") for i in range(self._n)]
         return Layout(rows)
@@ -256,9 +278,16 @@ class PhysicsModel:
         for b in self._kept:
             unit = "rad" if b == "attitude" else BLOCKS[b][1]
             rows += [Signal(name=f"d_{b}.{a}", unit=unit, meaning=f"{b} error, body axes") for a in "xyz"]
+        rows += self._memory_signals("d_")
         if self._has_lag:
             rows += [Signal(name=f"d_rotor.{i + 1}", unit="-", meaning="rotor error") for i in range(self._n)]
         return Layout(rows)
+
+    def _memory_signals(self, prefix: str) -> list[Signal]:
+        return [
+            Signal(name=f"{prefix}memory.{effect}.{r.name}", unit=r.unit, meaning=r.meaning or f"memory of {effect}")
+            for effect, own in self._memory.items() for r in own
+        ]  # fmt: skip
 
     @cached_property
     def window(self) -> tuple[int, int]:
@@ -414,7 +443,7 @@ class PhysicsModel:
         )  # fmt: skip
         increment: Expr = 0.0
         for e in self._stage("thrust"):
-            slots = e.apply(flow, self._own(e, values))
+            slots = e.apply(self._with_memory(e, flow, x), self._own(e, values))
             thrust = thrust * slots.get("thrust_factor", 1.0)
             torque = torque * slots.get("torque_factor", 1.0)
             increment = increment + slots.get("thrust_increment", 0.0)
@@ -426,7 +455,7 @@ class PhysicsModel:
             -sum(spin[i] * torque[i] for i in range(n)),
         )
         for e in self._stage("wrench"):
-            slots = e.apply(flow, self._own(e, values))
+            slots = e.apply(self._with_memory(e, flow, x), self._own(e, values))
             force = force + slots.get("force", 0.0)
             moment = moment + slots.get("moment", 0.0)
             if "hub_force" in slots:
@@ -439,6 +468,27 @@ class PhysicsModel:
         else:
             alpha = ca.inv(inertia) @ (moment - gyroscopic)
         return force / mass, alpha, replace(flow, angular_acceleration=alpha)
+
+    def _with_memory(self, effect: Effect, flow: Flow, x: Mapping[str, Expr]) -> Flow:
+        """The flow as an effect that remembers sees it: with its own part of the states."""
+        at = 0
+        for name, own in self._memory.items():
+            if name == effect.name:
+                return replace(flow, memory=x["memory"][at : at + len(own)])
+            at += len(own)
+        return flow
+
+    def _changes(self, flow: Flow, x: Mapping[str, Expr], p: Expr) -> dict[str, Expr]:
+        """d memory / dt of all effects that remember, as a block; none where no effect does."""
+        values = self._values(p)
+        parts = [
+            ca.vertcat(e.remember(self._with_memory(e, flow, x), self._own(e, values)))
+            for e in self.effects if e.name in self._memory
+        ]  # fmt: skip
+        for (name, own), part in zip(self._memory.items(), parts, strict=True):
+            if part.numel() != len(own):
+                raise ModelError(f"effect {name}: remember() gives {part.numel()} values", expected=f"{len(own)}")
+        return {"memory": ca.vertcat(*parts)} if parts else {}
 
     def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> dict[str, Expr]:
         """Readings by sensor name, after the chain of the sensor stage."""
@@ -461,10 +511,14 @@ class PhysicsModel:
                 at += size
             else:
                 blocks[b] = ca.DM([1, 0, 0, 0]) if b == "attitude" else ca.DM.zeros(3)
+        if size := len(self._remembered):
+            blocks["memory"] = x[at : at + size]
+            at += size
         return blocks, x[at:]
 
     def _join(self, blocks: Mapping[str, Expr], nu: Expr) -> Expr:
-        return ca.vertcat(*(blocks[b] for b in self._kept), *([nu] if self._has_lag else []))
+        kept = [*self._kept, *(["memory"] if self._remembered else [])]
+        return ca.vertcat(*(blocks[b] for b in kept), *([nu] if self._has_lag else []))
 
     def _noise(self, w: Expr) -> Expr:
         """(force, torque, turn) noise (9,), zeros for those that the model does not have."""
@@ -484,6 +538,7 @@ class PhysicsModel:
             "velocity": flow.rotation @ sf + self._gravity(),
             "attitude": quat_derivative(blocks["attitude"], blocks["rate"] + w[6:9]),
             "rate": alpha,
+            **self._changes(flow, blocks, p),
         }
 
     def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
@@ -624,6 +679,9 @@ class PhysicsModel:
                 moved[b] = quat_multiply(blocks[b], quat_exp(e))
             else:
                 moved[b] = blocks[b] + (e if b == "rate" else rotation @ e)
+        if size := len(self._remembered):
+            moved["memory"] = blocks["memory"] + d[at : at + size]
+            at += size
         return self._join(moved, nu + d[at:])
 
     def boxminus(self, x2: Expr, x1: Expr) -> Expr:
@@ -637,6 +695,8 @@ class PhysicsModel:
                 out.append(quat_difference(a[k], b[k]))
             else:
                 out.append(b[k] - a[k] if k == "rate" else rotation.T @ (b[k] - a[k]))
+        if self._remembered:
+            out.append(b["memory"] - a["memory"])
         return ca.vertcat(*out, *([nu2 - nu1] if self._has_lag else []))
 
     def derived(self, p: Expr) -> dict[str, Expr]:
@@ -651,7 +711,7 @@ class PhysicsModel:
     # ---------------------------------------------------------------- start of a flight
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """First measured values; level and at rest where nothing is measured; rotors at their command."""
+        """First measured values; level and at rest where nothing is measured; rotors at their command, memories at zero."""
 
         def first(names: Sequence[str], default: Sequence[float]) -> tuple[FloatArray, bool]:
             columns = [np.asarray(start.get(n, np.array([np.nan]))) for n in names]
@@ -686,6 +746,8 @@ class PhysicsModel:
                 v, seen = first(names, default)
                 values.append(v)
                 sigma += [tight if seen else wide] * 3
+        values.append(np.zeros(len(self._remembered)))
+        sigma += [r.size for r in self._remembered]
         if self._has_lag:
             u, _ = first(self.inputs.names[: self._n], [0.5] * self._n)
             values.append(u)
@@ -693,11 +755,11 @@ class PhysicsModel:
         return np.concatenate(values) if values else np.zeros(0), np.asarray(sigma)
 
     def reference(self, means: Mapping[str, float]) -> FloatArray:
-        """Level and at rest, rotors at the mean command; at the mean position where forces depend on it, else 0."""
+        """Level and at rest, rotors at the mean command, memories 0; at the mean position where forces depend on it."""
         blocks = {"position": [0.0] * 3, "velocity": [0.0] * 3, "attitude": [1.0, 0.0, 0.0, 0.0], "rate": [0.0] * 3}
         if self._feels_place:
             blocks["position"] = [means.get(a, 0.0) for a in "xyz"]
-        out = [v for b in self._kept for v in blocks[b]]
+        out = [v for b in self._kept for v in blocks[b]] + [0.0] * len(self._remembered)
         if self._has_lag:
             out += [means.get(n, 0.5) for n in self.inputs.names[: self._n]]
         return np.asarray(out)
