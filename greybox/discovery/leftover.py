@@ -11,7 +11,7 @@ model is said to be that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from greybox.data import Dataset
 from greybox.discovery.regimes import Regime, regimes
 from greybox.discovery.responses import Library, library
 from greybox.discovery.selection import left_out, select, solve
-from greybox.discovery.terms import wanted_features
+from greybox.discovery.terms import Memory, wanted_features
 from greybox.errors import FitError
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -53,7 +53,8 @@ LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
 class Leftover:
     """One axis: `channel` (force.x, ...), RMS of its smoothed discrepancy [unit], `share` of its variance that `terms`
     (text -> coefficient, SI) explain out of sample, and the signals that they look at; `codes` are the terms as lines of
-    an effect file. `gain`: how much BIC loses without this axis' state."""
+    an effect file, `memories` how those with a memory follow it, and its RMS. `gain`: how much BIC loses without this axis'
+    state."""
 
     channel: str
     unit: str
@@ -62,6 +63,7 @@ class Leftover:
     terms: dict[str, float]
     depends_on: tuple[str, ...]
     codes: tuple[str, ...] = ()
+    memories: tuple[tuple[Memory, float] | None, ...] = ()
     gain: float = 0.0
 
     @property
@@ -173,7 +175,7 @@ def laws_of(offered: Library, samples: int, seed: int, free: Iterable[str]) -> d
     # The last columns are a constant push on every axis.
     always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
     groups = [*labels, *["constant"] * (len(always) - len(own))]
-    kept = select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed)
+    kept = _merged(offered, select(offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed))
     total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
     c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True)) if kept else {}
     out: dict[str, dict[str, Any]] = {}
@@ -188,8 +190,24 @@ def laws_of(offered: Library, samples: int, seed: int, free: Iterable[str]) -> d
         out[axis] = {
             "share": more / max(float(normal.yy.sum()) - left_out(normal, [constant]), 1e-300),
             "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)}, "codes": tuple(t.code for t in used),
+            "memories": tuple((t.memory, float(np.sqrt(np.mean(t.values**2)))) if t.memory else None for t in used),
             "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
         }  # fmt: skip
+    return out
+
+
+def _merged(offered: Library, kept: Sequence[int]) -> list[int]:
+    """Of memories of one kind that follow one signal on one axis the first: two of the grid stand for one that lies between,
+    and a refit, whose times are free, would find that twice."""
+    seen, out = set[tuple[str, str, bool]](), list[int]()
+    for i in kept:
+        axis, term = offered.columns[i]
+        if term.memory is not None:
+            key = (axis, term.code, term.memory.damping is None)
+            if key in seen:
+                continue
+            seen.add(key)
+        out.append(i)
     return out
 
 

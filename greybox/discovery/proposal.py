@@ -1,8 +1,8 @@
 """Proposal: a law of the leftover as an effect file that a user can read, edit and offer again with --effects-file.
 
 The file holds one effect per group of axes (force, torque): a wrench that is linear in its parameters, with the terms
-that stability selection kept. The null of every parameter is zero; what the search found stands in the docstring and as
-the parameter's scale.
+that stability selection kept. The null of every coefficient is zero; what the search found stands in the docstring and as
+the coefficient's scale. A term with a memory is a state of the effect, whose time constant is a parameter too.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from greybox.discovery.leftover import Leftover
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
 
+REACH = 10.0
+"""Factor by which a refit may move time and damping of a memory, either way."""
 SLOT = {"force": "force", "torque": "moment"}
 
 
@@ -29,13 +31,34 @@ def proposal_text(law: Leftover, number: int) -> str:
     place = "xyz".index(axis)
     unit = law.unit
     rows = list(zip(law.terms.items(), law.codes, strict=True))
+    kept = [(i, code, *m) for i, (code, m) in enumerate(zip(law.codes, law.memories, strict=False), 1) if m is not None]
+    place_of: dict[int, int] = {}
+    remembered: list[str] = []
+    changes: list[str] = []
+    times: list[str] = []
+    for i, code, memory, size in kept:
+        j = place_of[i] = len(remembered)
+        remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
+        times.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}"))
+        if memory.damping is None:
+            changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
+            continue
+        times.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}"))
+        remembered.append(f'            Remembered(name="term_{i}_rate", unit="... / s", size={size / memory.time:.3g}),')
+        changes.append(f"            flow.memory[{j + 1}],")
+        changes.append(
+            f'            ({code} - flow.memory[{j}]) / p["time_{i}"] ** 2'
+            f' - 2 * p["damping_{i}"] * flow.memory[{j + 1}] / p["time_{i}"],'
+        )
     declared = [
         f'            Parameter(name="c_{i}", unit="{unit} / ...", nominal=0.0, null=0.0, scale={max(abs(c), 1e-12):.3g}, '
         f'meaning="{text}"),'
         for i, ((text, c), _) in enumerate(rows, 1)
     ]
     summed = [
-        f'        {"value = " if i == 1 else "value += "}p["c_{i}"] * ({code})' for i, (_, code) in enumerate(rows, 1)
+        f'        {"value = " if i == 1 else "value += "}p["c_{i}"] * '
+        + (f"flow.memory[{place_of[i]}]" if i in place_of else f"({code})")
+        for i, (_, code) in enumerate(rows, 1)
     ]
     parts = ["0.0", "0.0", "0.0"]
     parts[place] = "value"
@@ -43,6 +66,11 @@ def proposal_text(law: Leftover, number: int) -> str:
     needs = ""
     if any("flow.vbat" in code for code in law.codes):
         needs = '\n    needs = Needs(columns=("vbat",))'
+    past: list[str] = []
+    if kept:
+        past = ["", "    def memory(self, vehicle):", "        return (", *remembered, "        )"]
+        past += ["", "    def remember(self, flow, p):", "        return ca.vertcat(", *changes, "        )"]
+    imports = ["Effect", *(["Needs"] if needs else []), *(["Remembered"] if kept else [])]
     return "\n".join(
         [
             f'"""Proposed by greybox discover: a law of {law.channel} [{unit}] that no effect of the catalogue explains.',
@@ -56,7 +84,7 @@ def proposal_text(law: Leftover, number: int) -> str:
             "",
             "import casadi as ca",
             "",
-            f"from greybox.model.effect import Effect{', Needs' if needs else ''}",
+            f"from greybox.model.effect import {', '.join(imports)}",
             "from greybox.model.parameter import Parameter",
             "",
             "",
@@ -69,13 +97,24 @@ def proposal_text(law: Leftover, number: int) -> str:
             "    def parameters(self, vehicle):",
             "        return (",
             *declared,
+            *times,
             "        )",
+            *past,
             "",
             "    def apply(self, flow, p):",
             *summed,
             f'        return {{"{SLOT[kind]}": ca.vertcat({", ".join(parts)})}}',
             "",
         ]
+    )
+
+
+def _positive(name: str, unit: str, value: float, meaning: str) -> str:
+    """The declaration of a shape parameter: felt only where its term is, and then within reach of the proposed value."""
+    bounds = f"lower={value / REACH:.4g}, upper={value * REACH:.4g}, scale={value / 3:.3g}"
+    return (
+        f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, null={value:.4g}, {bounds}, '
+        f'meaning="{meaning}"),'
     )
 
 

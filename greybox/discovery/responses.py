@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.discovery.lagged import remembered_terms
 from greybox.discovery.terms import Term, terms
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation
@@ -101,8 +102,11 @@ def library(
         states, features = smoothed_features(runner, segment, look)
         z.append(features)
         wrench.append(states[:, rows])
-    every = np.concatenate(z)
-    columns = [(axis, t) for axis in axes for t in terms(axis, names, every, model.physics.vehicle)]
+    every, vehicle = np.concatenate(z), model.physics.vehicle
+    ends = np.cumsum([0, *map(len, z)])
+    flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
+    past = remembered_terms(names, every, vehicle, flown, model.sample_time)
+    columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)
     seen, follows, owners, at, number = dict[int, Normal](), dict[int, list[Normal]](), dict[int, str](), 0, 0

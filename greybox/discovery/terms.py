@@ -29,18 +29,31 @@ PAIRS = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """How a term follows its signal: a lag of `time` [s] or, with a `damping` ratio, a swing of 1/(2 pi time) Hz."""
+
+    time: float
+    damping: float | None = None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Term:
-    """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`, values (N,)."""
+    """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`, values (N,).
+
+    With a `memory` the column is what that keeps of `code` (greybox.discovery.lagged)."""
 
     text: str
     code: str
     uses: tuple[str, ...]
     values: FloatArray
+    memory: Memory | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Signal:
+class FlightSignal:
+    """One signal along the flight: its kind groups what mechanics multiplies, `code` as in `Term`, values (N,)."""
+
     name: str
     kind: str
     code: str
@@ -58,9 +71,9 @@ def wanted_features(dynamics: Dynamics) -> tuple[str, ...]:
 
 def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[Term]:
     """Terms for a law of `channel` (force.x, ...) from the features `names` with values z (N, m)."""
-    signals = _signals(names, z, vehicle)
+    there = signals(names, z, vehicle)
     out: list[Term] = []
-    for s in signals:
+    for s in there:
         out.append(_term(s.name, s.code, (s.name,), s.values))
         if s.kind in ("velocity", "rate", "place"):
             out.append(
@@ -71,7 +84,7 @@ def terms(channel: str, names: Sequence[str], z: FloatArray, vehicle: Vehicle) -
         if s.name == "height":
             near = f"1 / ca.fmax(ca.fabs({s.code}), 0.05) ** 2"
             out.append(_term("1/height^2", near, (s.name,), 1 / np.maximum(abs(s.values), 0.05) ** 2))
-    for a, b in itertools.combinations(signals, 2):
+    for a, b in itertools.combinations(there, 2):
         if (a.kind, b.kind) in PAIRS or (b.kind, a.kind) in PAIRS:
             out.append(_term(f"{a.name} {b.name}", f"{a.code} * {b.code}", (a.name, b.name), a.values * b.values))
         if a.kind == "tilt" and b.name == "height":
@@ -102,12 +115,13 @@ def _weights(vehicle: Vehicle) -> dict[str, list[float]]:
     }
 
 
-def _signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[_Signal]:
+def signals(names: Sequence[str], z: FloatArray, vehicle: Vehicle) -> list[FlightSignal]:
+    """All signals of the features `names` with values z (N, m)."""
     at = {n: z[:, i] for i, n in enumerate(names)}
-    out: list[_Signal] = []
+    out: list[FlightSignal] = []
 
     def add(name: str, kind: str, code: str, values: FloatArray) -> None:
-        out.append(_Signal(name=name, kind=kind, code=code, values=values))
+        out.append(FlightSignal(name=name, kind=kind, code=code, values=values))
 
     for i, a in enumerate("xyz"):
         if f"body_velocity.{a}" in at:
