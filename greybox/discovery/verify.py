@@ -15,16 +15,19 @@ from typing import Any
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
-from greybox.discovery.name import Addition, prune
+from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.proposal import proposed
-from greybox.discovery.veto import HeldOut, Withheld, misfit, misfit_of, wrench_of
+from greybox.discovery.veto import HeldOut, Withheld, likeness, misfit, misfit_of, wrench_of
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit, noise_of
 
 MOST = 0.5
 """Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing
 shows without a velocity, bends the rates as a damping does."""
+ALIKE = 0.7
+"""Correlation of the wrenches of a name and of a law from which on the law is the name in other words: it shares half of
+its variance."""
 SENSED = {"accelerometer": "force"}
 """What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
 
@@ -43,15 +46,20 @@ def verified(
     nest: Nest, at: NestedFit, additions: Sequence[Addition], train: Dataset, held_out: HeldOut | None = None, *,
     before: Promoted | None = None, seed: int = 0,
 ) -> Verified:  # fmt: skip
-    """Take back names that leave more than they explain and have not proven themselves on the flights of `held_out`;
-    repeated, as what was taken back may have served another. On logs of gyro and accelerometer alone laws of force and
-    torque go, proven or not, while most of what was missing without any addition (`before`) is left."""
+    """Take back names that leave more than they explain and have not proven themselves on the flights of `held_out`, or
+    have, but do nothing that a law does not do without them; repeated, as what was taken back may have served another. On
+    logs of gyro and accelerometer alone laws of force and torque go, proven or not, while most of what was missing without
+    any addition (`before`) is left."""
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
     while kept and leftover.unnamed:
-        doubtful = [a for a in kept if not any(set(a.effects) <= set(p) for p in proven)]
-        wrong = [w for a in doubtful if (w := _misfit(nest, at, a, leftover, train)) is not None]
+        doubts = [(a, w) for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
+        plain = [a for a, _ in doubts if any(set(a.effects) <= set(p) for p in proven)]
+        wrong = [w for a, w in doubts if a not in plain]
+        if plain:
+            reached = min(at.fit.bic, _bic(with_proposals(at.fit, leftover, train)))
+            wrong += [w for a in plain if (w := _replaced(nest, at, a, reached, train, seed)) is not None]
         if not wrong:
             break
         withheld += wrong
@@ -92,11 +100,43 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
         kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
         return misfit_of(addition.effects, kinds, {}, leftover.unnamed, addition.delta_bic)
     try:
-        wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null)
+        wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null, nest.candidates.core)
     except FitError:
         return None  # a velocity that nothing holds ran away: what the effect does along the flights is not known
-    levels = dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
-    return misfit(addition.effects, wrench, levels, leftover.unnamed, addition.delta_bic, leftover.gain)
+    return misfit(addition.effects, wrench, _levels(at), leftover.unnamed, addition.delta_bic, leftover.gain)
+
+
+def _replaced(
+    nest: Nest, at: NestedFit, addition: Addition, bic: float, train: Dataset, seed: int
+) -> Withheld | None:  # fmt: skip
+    """Why a name that proved itself goes nevertheless: another law, of what is left without it, does as well as the name and
+    all laws next to it, which together reach `bic`. What bends towards a missing law improves everything, too. A law that
+    pushes as the name does is the name in other words."""
+    without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
+    lawful = with_proposals(without.fit, promote(without.fit, train, seed=seed), train)
+    if lawful is None or lawful.bic - bic >= CLEAR:
+        return None
+    null = {d.name: d.null for d in lawful.model.dynamics.parameters if d.null is not None}
+    laws = {n.split(".")[0] for n in lawful.parameters} - {n.split(".")[0] for n in without.fit.parameters}
+    core = nest.candidates.core
+    try:
+        own = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null, core)
+        other = wrench_of(lawful.model, train, sorted(laws), null, core)
+    except FitError:
+        return None
+    if likeness(own, other, _levels(at)) > ALIKE:
+        return None
+    return Withheld(effects=addition.effects, reason="another law explains as much without it")
+
+
+def _levels(at: NestedFit) -> dict[str, float]:
+    """White noise of force and torque."""
+    return dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
+
+
+def _bic(found: Fit | None) -> float:
+    """Of a fit; infinite where there is none."""
+    return float("inf") if found is None else found.bic
 
 
 def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None:
@@ -108,8 +148,13 @@ def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None
     model = model.with_effect(*effects)
     own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
     per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
+    # A time constant is felt only where its coefficient is not zero.
+    start = {
+        f"{e.name}.c_{i}": c for e, law in zip(effects, leftover.laws, strict=True) if any(law.memories)
+        for i, c in enumerate(law.terms.values(), 1)
+    }  # fmt: skip
     result = fit(
-        model, train, free=[*found.parameters, *own], values=dict(found.model.values), noise=noise_of(found.model),
+        model, train, free=[*found.parameters, *own], values=dict(found.model.values) | start, noise=noise_of(found.model),
         per_flight=per_flight, estimate_noise=found.settings["estimate_noise"], initialisation="nominal",
     )  # fmt: skip
     return result if result.status.converged else None

@@ -65,6 +65,9 @@ PROVEN = 0.1
 """Relative fall of the mean square ahead on held-out flights from which on, `SURE` standard errors clear, a name that also
 gained `PLAIN` has proven itself. Any constant does so where a law is missing, and proves nothing."""
 SURE = 5.0
+AXES = tuple(f"{kind}.{a}" for kind in ("force", "torque") for a in "xyz")
+STEP = 1e-3
+"""Relative step of a parameter of the core whose wrench is looked at."""
 TOUCHED = 0.3
 """An effect acts on force or torque where its size against the noise is this share of the largest."""
 
@@ -178,8 +181,11 @@ def ahead_gain(old: Foresight, new: Foresight) -> tuple[float, float]:
     return float(per_block.mean()), float(per_block.std(ddof=1) / np.sqrt(length)) if length > 1 else 0.0
 
 
-def wrench_of(model: IdentifiedModel, data: Dataset, effects: Sequence[str], null: Mapping[str, float]) -> FloatArray:
-    """Force and torque, body axes [N, N m] (N, 6), that `effects` bring along the filtered flights, without their mean."""
+def wrench_of(
+    model: IdentifiedModel, data: Dataset, effects: Sequence[str], null: Mapping[str, float], core: Sequence[str] = ()
+) -> FloatArray:
+    """Force and torque, body axes [N, N m] (N, 6), that `effects` bring along the filtered flights, without their mean and
+    what the free parameters `core` could have done instead: a battery that is half empty is a smaller thrust coefficient."""
     dynamics = model.dynamics
     names = [d.name for d in dynamics.parameters]
     runner = Filter(model)
@@ -187,36 +193,63 @@ def wrench_of(model: IdentifiedModel, data: Dataset, effects: Sequence[str], nul
     at = {n: i for i, n in enumerate(dynamics.states.names)}
     mass = model.values["mass"]
     inertia = np.array([model.values[f"inertia.{a}{a}"] for a in "xyz"])
-    out = []
+    out: list[list[FloatArray]] = []
     for flight in data:
         p = model.flight_vector(flight.name)
         without = p.copy()
         for i, n in enumerate(names):
             if n.split(".")[0] in effects:
                 without[i] = null.get(n, 0.0)
+        moved = [p.copy() for _ in core]
+        for vector, n in zip(moved, core, strict=True):
+            i = names.index(n)
+            vector[i] += STEP * max(abs(p[i]), dynamics.parameters[i].scale)
         for segment in flight.segments:
             filtered = runner.run(segment, p=p)
             rows = np.arange(filtered.record.n - 2)
             ends = []
-            for vector in (p, without):
+            for vector in (p, without, *moved):
                 _, states = engine.rollout(
                     starts=filtered.states[rows], rows=rows, horizon=2, inputs=filtered.record.inputs, p=vector,
                     dt=filtered.record.dt, want_states=True,
                 )  # fmt: skip
                 assert states is not None
                 ends.append(states[:, 1])
-            change = (ends[0] - ends[1]) / filtered.record.dt
-            wrench = np.zeros((len(rows), 6))
-            if "velocity.x" in at:
-                turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
-                if "attitude.w" in at:
-                    q = filtered.states[rows][:, [at[f"attitude.{a}"] for a in "wxyz"]]
-                    turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
-                wrench[:, :3] = mass * turned
-            wrench[:, 3:] = inertia * change[:, [at[f"rate.{a}"] for a in "xyz"]]
-            out.append(wrench)
-    whole = np.concatenate(out)
-    return whole - whole.mean(axis=0)
+            wrenches = []
+            for end in ends[1:]:
+                change = (ends[0] - end) / filtered.record.dt
+                wrench = np.zeros((len(rows), 6))
+                if "velocity.x" in at:
+                    turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
+                    if "attitude.w" in at:
+                        q = filtered.states[rows][:, [at[f"attitude.{a}"] for a in "wxyz"]]
+                        turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
+                    wrench[:, :3] = mass * turned
+                wrench[:, 3:] = inertia * change[:, [at[f"rate.{a}"] for a in "xyz"]]
+                wrenches.append(wrench)
+            out.append(wrenches)
+    own, *others = (np.concatenate(parts) for parts in zip(*out, strict=True))
+    own = own - own.mean(axis=0)
+    for j in range(own.shape[1]):
+        x = np.column_stack([np.zeros(len(own)), *(o[:, j] - o[:, j].mean() for o in others)])
+        x = x / np.maximum(x.std(axis=0), 1e-300)
+        own[:, j] -= x @ np.linalg.lstsq(x, own[:, j], rcond=None)[0]
+    return own
+
+
+def touched_by(wrench: FloatArray, levels: Mapping[str, float]) -> set[str]:
+    """Axes on which a wrench (N, 6) matters against the white noise `levels`."""
+    size = np.sqrt((wrench**2).mean(axis=0)).tolist()
+    ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in zip(AXES, size, strict=True)}
+    return {a for a in AXES if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
+
+
+def likeness(one: FloatArray, other: FloatArray, levels: Mapping[str, float]) -> float:
+    """Correlation of two wrenches (N, 6), each axis in units of its noise, on the axes that the first touches."""
+    touched = touched_by(one, levels)
+    scale = np.array([1 / levels[a] if a in touched else 0.0 for a in AXES])
+    a, b = (one * scale).ravel(), (other * scale).ravel()
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-300))
 
 
 def misfit(
@@ -228,10 +261,8 @@ def misfit(
 
     Judged on the axes of the force or torque where the wrench matters against the white noise `levels` of the model.
     """
-    axes = [f"force.{a}" for a in "xyz"] + [f"torque.{a}" for a in "xyz"]
-    size = dict(zip(axes, np.sqrt((wrench**2).mean(axis=0)).tolist(), strict=True))
-    ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in size.items()}
-    touched = {a for a in axes if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
+    size = dict(zip(AXES, np.sqrt((wrench**2).mean(axis=0)).tolist(), strict=True))
+    touched = touched_by(wrench, levels)
     # What is late shows in jumps of the command, which no force imitates.
     own = [law for law in left if law.channel in touched and not set(effects) <= LATE]
     if min(sum(law.gain for law in own), total) > HALF * gained:
