@@ -17,7 +17,9 @@ NULLS: dict[str, PlantEffect] = {
     "wall": outside.Wall(), "warm_motors": outside.WarmMotors(), "tether": outside.Tether(),
     "power_drag": outside.PowerDrag(), "quadratic_damping": outside.QuadraticDamping(),
     "exponential_ground": outside.ExponentialGround(), "relaxing_drag": outside.RelaxingDrag(),
-    "hysteretic_damping": outside.HystereticDamping(),
+    "hysteretic_damping": outside.HystereticDamping(), "munk_moment": outside.MunkMoment(),
+    "air_outlet": outside.AirOutlet(), "plate_in_wake": outside.PlateInWake(), "loose_arm": outside.LooseArm(),
+    "returning_wake": outside.ReturningWake(),
 }  # fmt: skip
 
 

@@ -13,16 +13,22 @@ from scenarios.plants.outside.other_forms import (
 from scenarios.plants.outside.sloshing_mass import SloshingMass
 from scenarios.plants.outside.tether import Tether
 from scenarios.plants.outside.thrust_gap import ThrustGap
+from scenarios.plants.outside.unseen import AirOutlet, LooseArm, MunkMoment, PlateInWake, ReturningWake
 from scenarios.plants.outside.wall import Wall
 from scenarios.plants.outside.warm_motors import WarmMotors
 
 __all__ = [
+    "AirOutlet",
     "ExponentialGround",
     "HystereticDamping",
+    "LooseArm",
     "Magnet",
+    "MunkMoment",
+    "PlateInWake",
     "PowerDrag",
     "QuadraticDamping",
     "RelaxingDrag",
+    "ReturningWake",
     "SloshingMass",
     "Tether",
     "ThrustGap",
