@@ -19,6 +19,7 @@ from mpc_export.c_model import abi_number
 from mpc_export.golden import golden_vectors
 from mpc_export.verify import STRICT
 from tests.conformance import specimen
+from tests.conformance.remembering import Wake
 from tests.mpc_export import cases, compiled
 from tests.residual import hybrid_cases
 
@@ -63,9 +64,8 @@ def with_effect(effect):
 SOME = ("battery_sag", "ground_effect", "sensor_delay")
 
 
-@pytest.mark.parametrize("effect", SOME)
+@pytest.mark.parametrize("effect", [*(effect_by_name(n) for n in SOME), Wake()], ids=lambda e: e.name)
 def test_some_effects_alone_in_double(tmp_path, effect):
-    effect = effect_by_name(effect)
     bundle = write_bundle(with_effect(effect), tmp_path / "one", targets=("c",), use_cache=False)
     library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
     gaps = compiled.largest_difference(bundle, library, bundle.functions.functions, points(bundle.functions, 60))
