@@ -467,8 +467,11 @@ def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[st
         for k, name in enumerate(table):
             if (name.split(".")[0] in own) == (flight is None):
                 continue  # per-flight effects get one row per flight, shared ones a single row
-            columns = problem.local_columns(which)
-            spread = float(slope.full()[k] @ matrix[np.ix_(columns, columns)] @ slope.full()[k])
+            # What is not felt is not asked: its variance may be infinite.
+            row = slope.full()[k]
+            columns, row = np.asarray(problem.local_columns(which))[row != 0], row[row != 0]
+            known = matrix[np.ix_(columns, columns)]
+            spread = float(row @ known @ row) if np.isfinite(known).all() else np.inf
             label = name if flight is None else f"{name} ({flight})"
             out[label] = (float(values[k]), float(np.sqrt(max(spread, 0.0))))
     return out
