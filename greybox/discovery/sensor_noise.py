@@ -136,6 +136,38 @@ def unfiltered(plain: Nest, start: NestedFit, at: NestedFit) -> NestedFit | None
     return plain.settle(best) if best is not None and best.bic < at.bic + CLEAR else None
 
 
+def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dict[str, float]] | None:
+    """As `filtered_imu`, for everything that was named: with a filter of the IMU instead of one of the lags and delays of
+    `at`, or next to all of them, where BIC prefers that and the IMU's innovations are not white.
+
+    A lag and two delays imitate a filter and two delays; each of them alone, or the filter next to all, is worse or leads
+    back. What is left out hands its time to the delays that stay, and the pose, which no filter touches, may be later.
+    """
+    physics: Any = white(plain.candidates.model)
+    had, timed = parts_of(plain.candidates.model), [e for e in at.effects if e in TIMING]
+    sensors = {s.name for s in physics.sensors}
+    parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
+    if not parts or any(p.kind == "low_pass" for p in had) or not any(n in IMU for n in suspicious(at.fit)):
+        return None
+    filtered = with_parts(plain, (*had, *parts))
+    known: dict[Key, float] = {(n, None): e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in timed}
+    tasks = []
+    for gone in (None, *timed):
+        chosen = tuple(e for e in at.effects if e != gone)
+        lost = sum(v for (n, _), v in known.items() if n.split(".")[0] == gone)
+        first = {k: v for k, v in known.items() if k[0].split(".")[0] != gone}
+        first |= {(f"{p.name}.T", None): FILTER for p in parts}
+        handed = {k: v + lost for k, v in first.items() if k[0] == "command_delay.d"}
+        later = {k: v + FILTER for k, v in first.items() if k[0] == "pose_delay.d"}
+        for more in {tuple(m.items()): m for m in ({}, later, handed, handed | later)}.values():
+            task = filtered.task(chosen, start=at, first=first | more)
+            tasks.append(replace(task, starts=task.starts[:1]))
+    best = min((r for r in filtered.contest(tasks, at.bic) if r.comparable), key=lambda r: r.bic, default=None)
+    if best is None or best.bic >= at.bic - CLEAR or any(f"{p.name}.T" in best.bounds for p in parts):
+        return None
+    return filtered, filtered.settle(best), {p.name: at.bic - best.bic for p in parts}
+
+
 def may_be_filtered(rival: NestedFit, scores: Sequence[Score], alpha: float) -> bool:
     """Whether a filter of the IMU may stand behind the effect of timing that `rival` added; `scores` were taken after it.
 

@@ -57,7 +57,7 @@ def verified(
         doubts = [(a, w) for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
         plain = [a for a, _ in doubts if any(set(a.effects) <= set(p) for p in proven)]
         wrong = [w for a, w in doubts if a not in plain]
-        if plain:
+        if plain and not wrong:  # what proved itself is asked last, once nothing else bends the fit
             reached = min(at.fit.bic, _bic(with_proposals(at.fit, leftover, train)))
             wrong += [w for a in plain if (w := _replaced(nest, at, a, reached, train, seed)) is not None]
         if not wrong:

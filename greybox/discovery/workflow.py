@@ -28,6 +28,7 @@ from greybox.discovery.screen import Score
 from greybox.discovery.sensor_noise import (
     coloured_sensors,
     dressed,
+    filtered_after_all,
     filtered_imu,
     may_be_filtered,
     parts_of,
@@ -282,13 +283,20 @@ class _Search:
             nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
             filters=filters,
         )  # fmt: skip
-        lean = None if plain is None else unfiltered(*plain, at)
-        if plain is None or lean is None:
-            return done
-        self.say("the IMU is not filtered after all", 0.71)
-        kept = [replace(a, effects=tuple(e for e in a.effects if e in lean.effects)) for a in additions]
-        left = replace(done, nest=plain[0], at=lean, additions=[a for a in kept if a.effects], filters={})
-        return replace(self, may_filter=False).run(plain[0], lean, left)
+        if plain is not None:
+            lean = unfiltered(*plain, at)
+            return done if lean is None else self._again(done, "the IMU is not filtered after all", plain[0], lean, {})
+        after_all = filtered_after_all(nest, at) if self.may_filter and set(TIMING) & set(at.effects) else None
+        return done if after_all is None else self._again(done, "the IMU is filtered after all", *after_all)
+
+    def _again(
+        self, done: _Found, why: str, nest: Nest, at: NestedFit, filters: dict[str, float]
+    ) -> _Found:  # fmt: skip
+        """The search from the fit `at`, which has a filter of the IMU more or less than what was `done`."""
+        self.say(why, 0.71)
+        kept = [replace(a, effects=tuple(e for e in a.effects if e in at.effects)) for a in done.additions]
+        left = replace(done, nest=nest, at=at, additions=[a for a in kept if a.effects], filters=filters)
+        return replace(self, may_filter=False).run(nest, at, left)
 
     def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
         self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))

@@ -138,3 +138,24 @@ def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
         assert not noise.parts_of(lean.fit.model.dynamics)
     else:
         assert lean is None
+
+
+@pytest.mark.parametrize("cutoff", [None, 20.0])
+def test_a_lag_that_was_named_in_place_of_a_filter_makes_room_for_it(flown, cutoff):
+    vehicle, log = flown
+    if cutoff is not None:
+        log = low_passed(log, ["p", "q", "r", "ax", "ay", "az"], cutoff)
+    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
+    plain = Nest(candidates=candidates(vehicle, data.channels, sample_time=0.01), data=data)
+    at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
+    found = noise.filtered_after_all(plain, at)
+    if cutoff is None:
+        assert found is None
+    else:
+        assert found is not None
+        nest, now, gains = found
+        assert now.effects == ()
+        assert noise.parts_of(nest.candidates.model) == noise.parts_of(now.fit.model.dynamics)
+        assert now.fit.parameters["low_pass.gyro.T"].value == pytest.approx(1 / (2 * np.pi * 20.0), rel=0.1)
+        assert min(gains.values()) == pytest.approx(at.bic - now.bic)
+        assert at.bic - now.bic > 100
