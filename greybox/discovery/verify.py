@@ -2,25 +2,24 @@
 
 The disturbance states of the last model say what is left. Names that leave more on their main axis than they explained
 are taken back (greybox.discovery.veto) and the model is fitted without them, so that what they had bent towards the data is
-reported as unnamed. Laws of unnamed axes become effects (greybox.discovery.proposal); refitted with them, the model shows
-what they close. On request a Gaussian process learns what the bare model misses: the attainable line.
+reported as unnamed. Refitted with the laws of unnamed axes (greybox.discovery.written), the model shows what they close. On
+request a Gaussian process learns what the bare model misses: the attainable line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.proposal import proposed
-from greybox.discovery.veto import HeldOut, Withheld, likeness, misfit, misfit_of, wrench_of
+from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misfit_of, wrench_of
+from greybox.discovery.written import with_proposals
 from greybox.errors import FitError, GreyboxError
-from greybox.estimation.fit import Fit, fit, noise_of
+from greybox.estimation.fit import Fit
 
 MOST = 0.5
 """Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing
@@ -111,7 +110,7 @@ def _replaced(
 ) -> Withheld | None:  # fmt: skip
     """Why a name that proved itself goes nevertheless: another law, of what is left without it, does as well as the name and
     all laws next to it, which together reach `bic`. What bends towards a missing law improves everything, too. A law that
-    pushes as the name does is the name in other words."""
+    pushes as the name does, and explains little more, is the name in other words."""
     without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
     lawful = with_proposals(without.fit, promote(without.fit, train, seed=seed), train)
     if lawful is None or lawful.bic - bic >= CLEAR:
@@ -124,7 +123,7 @@ def _replaced(
         other = wrench_of(lawful.model, train, sorted(laws), null, core)
     except FitError:
         return None
-    if likeness(own, other, _levels(at)) > ALIKE:
+    if likeness(own, other, _levels(at)) > ALIKE and bic - lawful.bic < HALF * addition.delta_bic:
         return None
     return Withheld(effects=addition.effects, reason="another law explains as much without it")
 
@@ -137,27 +136,6 @@ def _levels(at: NestedFit) -> dict[str, float]:
 def _bic(found: Fit | None) -> float:
     """Of a fit; infinite where there is none."""
     return float("inf") if found is None else found.bic
-
-
-def with_proposals(found: Fit, leftover: Promoted, train: Dataset) -> Fit | None:
-    """`found` refitted with the laws of the leftover as effects; None where there is no law or the refit fails."""
-    effects = proposed(leftover.laws)
-    if not effects:
-        return None
-    model: Any = found.model.dynamics
-    model = model.with_effect(*effects)
-    own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
-    per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
-    # A time constant is felt only where its coefficient is not zero.
-    start = {
-        f"{e.name}.c_{i}": c for e, law in zip(effects, leftover.laws, strict=True) if any(law.memories)
-        for i, c in enumerate(law.terms.values(), 1)
-    }  # fmt: skip
-    result = fit(
-        model, train, free=[*found.parameters, *own], values=dict(found.model.values) | start, noise=noise_of(found.model),
-        per_flight=per_flight, estimate_noise=found.settings["estimate_noise"], initialisation="nominal",
-    )  # fmt: skip
-    return result if result.status.converged else None
 
 
 def gap_rows(

@@ -13,7 +13,7 @@ from greybox.discovery.lagged import DAMPING, FREQUENCIES, TIMES, follow, rememb
 from greybox.discovery.leftover import Leftover, promote
 from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.terms import Memory, Term
-from greybox.discovery.verify import with_proposals
+from greybox.discovery.written import joined, looked_again, with_proposals
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
 from scenarios.plants.outside import RelaxingDrag, SloshingMass
@@ -116,7 +116,23 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(hidden: RelaxingD
     bare = gb.fit(model, train, free=core, initialisation="nominal")
     left = promote(bare, train)
     assert any(m is not None for a in left.laws for m in a.memories)
-    written = with_proposals(bare, left, train)
+    written, (again, longer) = with_proposals(bare, left, train), looked_again(bare, left, train)
     assert written is not None
-    ahead = [np.concatenate(squares(f.model, test)[0][("velocity", 0.5)]).mean() for f in (bare, written)]
-    assert ahead[1] < 0.3 * ahead[0]
+    assert longer is not None
+    assert longer.bic <= written.bic
+    assert sum(len(a.terms) for a in again.laws) >= sum(len(a.terms) for a in left.laws)
+    ahead = [np.concatenate(squares(f.model, test)[0][("velocity", 0.5)]).mean() for f in (bare, longer)]
+    assert ahead[1] < 0.2 * ahead[0]
+
+
+def test_terms_of_a_second_look_join_those_of_the_first():
+    z = features()
+    lag, swing = every(z)[0], every(z)[5]
+    plain = Term(text="p", code="flow.omega[0]", uses=("p",), values=z[:, 3])
+    both = joined(law("force.x", plain, lag), [law("force.y", swing), law("force.x", lag, swing)])
+    assert list(both.terms) == ["p", lag.text, swing.text]
+    assert both.terms[lag.text] == 1.0  # as the first look has it
+    assert both.codes == (plain.code, lag.code, swing.code)
+    assert [m is None for m in both.memories] == [True, False, False]
+    assert both.share == pytest.approx(0.99)
+    assert joined(law("force.z", plain), [law("force.y", swing)]).terms == {"p": 0.5}

@@ -1,0 +1,81 @@
+"""Written laws: the model refitted with the laws of its leftover as effects, and what that leaves looked at again.
+
+The first look at the leftover sees the largest law of every axis through all the others, at the nearest times of a grid.
+Once it is written and fitted, what it hid stands out; terms of a second look join those of the first where BIC prefers it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from greybox.data import Dataset
+from greybox.discovery.leftover import STRONG, TERMS, Leftover, Promoted, promote
+from greybox.discovery.name import CLEAR
+from greybox.discovery.proposal import proposed
+from greybox.estimation.fit import Fit, fit, noise_of
+
+LOOKS = 2
+"""How often the leftover of written laws is looked at again, at most."""
+
+
+def with_proposals(found: Fit, leftover: Promoted, train: Dataset, known: Fit | None = None) -> Fit | None:
+    """`found` refitted with the laws of the leftover as effects, from the estimates of `known` where it has them; None where
+    there is no law or the refit fails."""
+    effects = proposed(leftover.laws)
+    if not effects:
+        return None
+    model: Any = found.model.dynamics
+    model = model.with_effect(*effects)
+    own = [d.name for d in model.parameters if d.name.split(".")[0] in {e.name for e in effects}]
+    per_flight = [n for n in found.settings["per_flight"] if n in found.parameters]
+    # A time constant is felt only where its coefficient is not zero.
+    start = {
+        f"{e.name}.c_{i}": c for e, law in zip(effects, leftover.laws, strict=True) if any(law.memories)
+        for i, c in enumerate(law.terms.values(), 1)
+    }  # fmt: skip
+    if known is not None:
+        there = {d.name for d in model.parameters}
+        start |= {n: float(v) for n, v in known.model.values.items() if n in there}
+    result = fit(
+        model, train, free=[*found.parameters, *own], values=dict(found.model.values) | start,
+        noise=noise_of((known or found).model), per_flight=per_flight, estimate_noise=found.settings["estimate_noise"],
+        initialisation="nominal",
+    )  # fmt: skip
+    return result if result.status.converged else None
+
+
+def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 0) -> tuple[Promoted, Fit | None]:
+    """(`leftover` with the laws that a second look adds to, `found` refitted with them; None as `with_proposals`)."""
+    best = with_proposals(found, leftover, train)
+    for _ in range(LOOKS):
+        if best is None:
+            break
+        left = promote(best, train, seed=seed)
+        if left.gain < STRONG or not left.laws:
+            break
+        more = replace(leftover, axes=tuple(joined(a, left.laws) for a in leftover.axes))
+        longer = with_proposals(found, more, train, best)
+        if longer is None or longer.bic > best.bic - CLEAR:
+            break
+        leftover, best = more, longer
+    return leftover, best
+
+
+def joined(law: Leftover, others: Sequence[Leftover]) -> Leftover:
+    """The law of one axis with the terms of another look; the second share is of what the first left."""
+    for other in others:
+        if other.channel != law.channel:
+            continue
+        rows = list(zip(law.terms.items(), law.codes, law.memories, strict=True))
+        rows += [
+            row for row in zip(other.terms.items(), other.codes, other.memories, strict=True) if row[0][0] not in law.terms
+        ]  # fmt: skip
+        rows = rows[: max(TERMS, len(law.terms))]
+        return replace(
+            law, terms=dict(r[0] for r in rows), codes=tuple(r[1] for r in rows), memories=tuple(r[2] for r in rows),
+            share=law.share + (1 - law.share) * other.share if law.terms else other.share,
+            depends_on=tuple(dict.fromkeys((*law.depends_on, *other.depends_on))),
+        )  # fmt: skip
+    return law
