@@ -34,14 +34,13 @@ def remembered_terms(
     out: list[Term] = []
     for s in signals(names, z, vehicle):
         mean = float(f"{s.values.mean():.4g}") if s.kind in ("tilt", "collective") else 0.0
-        memories = [(Memory(time=t), f"within {t:g} s") for t in TIMES if s.kind in FOLLOWED]
+        memories = [Memory(time=t) for t in TIMES if s.kind in FOLLOWED]
         if s.kind in SWINGING:
-            swings = [(f, Memory(time=1 / (2 * np.pi * f), damping=DAMPING)) for f in FREQUENCIES]
-            memories += [(m, f"swinging at {f:g} Hz") for f, m in swings]
-        for memory, words in memories if np.ptp(s.values) else ():
+            memories += [Memory(time=1 / (2 * np.pi * f), damping=DAMPING) for f in FREQUENCIES]
+        for memory in memories if np.ptp(s.values) else ():
             values = np.concatenate([follow(s.values[part] - mean, memory, dt) for part in parts])
             code = f"{s.code} - {mean}" if mean else s.code
-            out.append(Term(text=f"{s.name} ({words})", code=code, uses=(s.name,), values=values, memory=memory))
+            out.append(Term(text=f"{s.name} ({memory})", code=code, uses=(s.name,), values=values, memory=memory))
     return out
 
 

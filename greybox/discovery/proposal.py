@@ -25,8 +25,13 @@ def file_name(number: int) -> str:
     return f"proposal_{number}.py"
 
 
+def effect_name(channel: str) -> str:
+    """proposal_<axis>, as proposal_torque_z."""
+    return f"proposal_{channel.replace('.', '_')}"
+
+
 def proposal_text(law: Leftover, number: int) -> str:
-    """The file for one axis. The effect is named proposal_<axis>, as proposal_torque_z."""
+    """The file for one axis."""
     kind, axis = law.channel.split(".")
     place = "xyz".index(axis)
     unit = law.unit
@@ -89,7 +94,7 @@ def proposal_text(law: Leftover, number: int) -> str:
             "",
             "",
             f"class Proposal{number}(Effect):",
-            f'    name = "proposal_{law.channel.replace(".", "_")}"',
+            f'    name = "{effect_name(law.channel)}"',
             '    stage = "wrench"',
             f'    summary = "law of {law.channel} found in the leftover"',
             f'    formula = "{law.channel} = {formula}"{needs}',

@@ -227,7 +227,8 @@ class Discovery:
             if r.closed is not None and r.horizon_s in (0.1, 0.5):
                 lines.append(
                     f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit}"
-                    f" ({r.closed:.0%} of the gap closed)"
+                    f" ({r.closed:.0%} of the gap closed"
+                    + (")" if r.with_proposals is None else f", {r.with_proposals:.0%} with the proposed laws)")
                 )
         if self.unjudged:
             lines += [f"  cannot be judged: {n} ({why})" for n, why in self.unjudged.items()]

@@ -10,6 +10,7 @@ more independent values than the flight has correlation times.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -35,6 +36,11 @@ class Memory:
 
     time: float
     damping: float | None = None
+
+    def __str__(self) -> str:
+        if self.damping is None:
+            return f"within {self.time:.2g} s"
+        return f"swinging at {1 / (2 * math.pi * self.time):.2g} Hz"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,7 +13,8 @@ from typing import Any
 from greybox.data import Dataset
 from greybox.discovery.leftover import STRONG, TERMS, Leftover, Promoted, promote
 from greybox.discovery.name import CLEAR
-from greybox.discovery.proposal import proposed
+from greybox.discovery.proposal import effect_name, proposed
+from greybox.discovery.terms import Memory
 from greybox.estimation.fit import Fit, fit, noise_of
 
 LOOKS = 2
@@ -60,7 +61,23 @@ def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 
         if longer is None or longer.bic > best.bic - CLEAR:
             break
         leftover, best = more, longer
-    return leftover, best
+    return (leftover if best is None else replace(leftover, axes=tuple(fitted(a, best) for a in leftover.axes))), best
+
+
+def fitted(law: Leftover, written: Fit) -> Leftover:
+    """The law of one axis with the numbers of the fit `written` that has it as an effect; unchanged where it has not."""
+    own = {n.split(".")[1]: e.value for n, e in written.parameters.items() if n.split(".")[0] == effect_name(law.channel)}
+    if not own:
+        return law
+    terms, memories = dict[str, float](), list[tuple[Memory, float] | None]()
+    for i, (text, kept) in enumerate(zip(law.terms, law.memories, strict=True), 1):
+        now = None
+        if kept is not None:
+            memory = Memory(time=own[f"time_{i}"], damping=own.get(f"damping_{i}"))
+            text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
+        terms[text] = own[f"c_{i}"]
+        memories.append(now)
+    return replace(law, terms=terms, memories=tuple(memories)) if len(terms) == len(law.terms) else law
 
 
 def joined(law: Leftover, others: Sequence[Leftover]) -> Leftover:

@@ -123,6 +123,13 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(hidden: RelaxingD
     assert sum(len(a.terms) for a in again.laws) >= sum(len(a.terms) for a in left.laws)
     ahead = [np.concatenate(squares(f.model, test)[0][("velocity", 0.5)]).mean() for f in (bare, longer)]
     assert ahead[1] < 0.2 * ahead[0]
+    for a in again.laws:  # what is written are the refit's numbers
+        values = longer.parameters
+        own = f"proposal_{a.channel.replace('.', '_')}"
+        assert list(a.terms.values()) == [values[f"{own}.c_{i}"].value for i in range(1, len(a.terms) + 1)]
+        for i, (text, m) in enumerate(zip(a.terms, a.memories, strict=True), 1):
+            assert m is None or m[0].time == values[f"{own}.time_{i}"].value
+            assert m is None or text.endswith(f"({m[0]})")
 
 
 def test_terms_of_a_second_look_join_those_of_the_first():
