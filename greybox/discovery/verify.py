@@ -16,7 +16,7 @@ from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misfit_of, wrench_of
+from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, wrench_of
 from greybox.discovery.written import with_proposals
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
@@ -27,8 +27,6 @@ shows without a velocity, bends the rates as a damping does."""
 ALIKE = 0.7
 """Correlation of the wrenches of a name and of a law from which on the law is the name in other words: it shares half of
 its variance."""
-SENSED = {"accelerometer": "force"}
-"""What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +94,7 @@ def _all_of(at: NestedFit, addition: Addition, stage: str) -> bool:
 
 def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, train: Dataset) -> Withheld | None:
     if _all_of(at, addition, "sensor"):
-        kinds = {SENSED.get(n.split("_")[0], "torque") for n in addition.effects}
-        return misfit_of(addition.effects, kinds, {}, leftover.unnamed, addition.delta_bic)
+        return misread(addition.effects, leftover.unnamed, addition.delta_bic, leftover.gain)
     try:
         wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null, nest.candidates.core)
     except FitError:

@@ -8,9 +8,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import Foresight
 from greybox.discovery.leftover import Leftover
-from greybox.discovery.veto import HeldOut, ahead_gain, misfit, misfit_of, unseen
+from greybox.discovery.nested import Nest
+from greybox.discovery.veto import (
+    AXES,
+    HeldOut,
+    ahead_gain,
+    likeness,
+    misfit,
+    misfit_of,
+    misread,
+    touched_by,
+    unseen,
+    wrench_of,
+)
+from scenarios.plants.effects import BatterySag
+from tests.discovery.small_world import flown, vehicle
 
 LEVELS = {f"{k}.{a}": s for k, s in (("force", 0.1), ("torque", 0.001)) for a in "xyz"}
 
@@ -191,3 +206,37 @@ def test_a_name_whose_numbers_are_not_clear_of_none_is_withheld():
     assert unseen(estimates(b_x=(-33.9, 240.0), b_y=(0.01, 0.02)), ("gyro_bias",), null) is not None
     assert unseen(estimates(b_x=(-33.9, 240.0), b_y=(0.05, 0.02)), ("gyro_bias",), null) is None
     assert unseen(estimates(b_x=(0.0, float("nan"))), ("gyro_bias",), null) is None
+
+
+def test_an_imus_error_must_explain_twice_what_its_axes_miss():
+    left = [law("force.x", rms=1.0, share=0.0, gain=60, terms={})]
+    assert misread(("accelerometer_scale",), left, 100) is not None
+    assert misread(("accelerometer_scale",), left, 121) is None
+    assert misread(("accelerometer_scale",), left, 100, total=49) is None
+    assert misread(("gyro_bias",), left, 100) is None
+    assert misread(("gyro_bias",), [law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 100) is not None
+    assert misread(("pose_delay",), [law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 100) is None
+
+
+def test_likeness_is_a_correlation_on_the_axes_of_the_first():
+    one, other = torque(0.001), torque(0.003)
+    other[:, 0] = 5.0 * np.cos(np.arange(len(other)))  # an axis that the first leaves alone
+    assert touched_by(one, LEVELS) == {"torque.x"}
+    assert likeness(one, other, LEVELS) == pytest.approx(1.0)
+    assert likeness(one, -other, LEVELS) == pytest.approx(-1.0)
+    other[:, 3] = np.cos(np.arange(len(other)))
+    assert abs(likeness(one, other, LEVELS)) < 0.02
+
+
+def test_what_the_core_could_have_done_is_no_part_of_a_wrench():
+    """A sagging battery is a smaller thrust first, on torques altogether; what is left of it is a force along z."""
+    data = flown(BatterySag(c_V=1.0, nominal_voltage=11.1), seconds=8.0)
+    nest = Nest(candidates=candidates(vehicle(), data.channels, sample_time=0.01), data=data)
+    at = nest.refit(("battery_sag",), start=nest.refit(()))
+    null = nest.candidates.null
+    whole, rest = (wrench_of(at.fit.model, data, ("battery_sag",), null, core) for core in ((), nest.candidates.core))
+    levels = dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
+    ratio = (rest**2).mean(axis=0) / (whole**2).mean(axis=0)
+    assert (ratio <= 1 + 1e-9).all()
+    assert ratio[AXES.index("torque.x")] < 0.1
+    assert "force.z" in touched_by(rest, levels)
