@@ -638,6 +638,7 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
     rates = dict(zip(("rate.x", "rate.y", "rate.z"), "pqr"))
     speeds = dict(zip(("velocity.x", "velocity.y", "velocity.z"), ("vx", "vy", "vz")))
     pushes = {f"disturbance.{n}": v for n, v in zip(s.dynamics.noises.names, s.dynamics.noise_scale(0.01))}
+    remembered: Mapping[str, float] = getattr(s.dynamics, "memory_sizes", {})
     lower, upper = _bounds(builder)
     width = np.where(np.isfinite(upper - lower), np.maximum(np.abs(lower), np.abs(upper)), 1.0)
     commands = dict(zip(s.inputs.names, np.where(width > 0, width, 1.0).tolist()))
@@ -649,6 +650,6 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
         elif name in pushes:
             x.append(float(pushes[name]) or 1.0)
         else:
-            x.append(half((rates | speeds).get(name, name), SCALES.get(head, 1.0)))
+            x.append(half((rates | speeds).get(name, name), remembered.get(name, SCALES.get(head, 1.0))))
     y = [half(n, 1.0) for n in s.dynamics.outputs.names]
     return np.array(x), np.array(list(commands.values())), np.array(y)

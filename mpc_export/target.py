@@ -68,7 +68,9 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     own = len(sampled.dynamics.error_states)
     names = sampled.error_states.names
     moving = [i for i in range(own) if not names[i].startswith("d_disturbance.")]
-    size = np.array([SIZES.get(names[i].rpartition(".")[0], 1.0) for i in moving])
+    own_sizes: Mapping[str, float] = getattr(sampled.dynamics, "memory_sizes", {})
+    sizes = SIZES | {f"d_{n}": v for n, v in own_sizes.items()}
+    size = np.array([sizes.get(names[i], sizes.get(names[i].rpartition(".")[0], 1.0)) for i in moving])
     scale = np.concatenate([size, np.full(nu, 0.3)])
     x, u, p = ca.MX.sym("x", len(sampled.states)), ca.MX.sym("u", nu), ca.MX.sym("p", n_p)
     r = ca.MX.sym("r", len(targets))

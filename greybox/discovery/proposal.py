@@ -7,8 +7,9 @@ the coefficient's scale. A term with a memory is a state of the effect, whose ti
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from greybox.discovery.leftover import Leftover
@@ -17,6 +18,8 @@ from greybox.model.effects_file import load_effects
 
 REACH = 10.0
 """Factor by which a refit may move time and damping of a memory, either way."""
+SHORTEST = 0.02
+"""Time constant [s] below which no refit goes: it is the present, and steps of integration must stay shorter than it."""
 SLOT = {"force": "force", "torque": "moment"}
 
 
@@ -25,13 +28,16 @@ def file_name(number: int) -> str:
     return f"proposal_{number}.py"
 
 
-def effect_name(channel: str) -> str:
-    """proposal_<axis>, as proposal_torque_z."""
-    return f"proposal_{channel.replace('.', '_')}"
+def effect_name(channel: str, taken: Collection[str] = ()) -> str:
+    """proposal_<axis>, as proposal_torque_z; further_proposal_<axis> where that is `taken`, and so on."""
+    name = f"proposal_{channel.replace('.', '_')}"
+    while name in taken:
+        name = f"further_{name}"
+    return name
 
 
-def proposal_text(law: Leftover, number: int) -> str:
-    """The file for one axis."""
+def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> str:
+    """The file for one axis, its effect named otherwise than those `taken`."""
     kind, axis = law.channel.split(".")
     place = "xyz".index(axis)
     unit = law.unit
@@ -44,11 +50,11 @@ def proposal_text(law: Leftover, number: int) -> str:
     for i, code, memory, size in kept:
         j = place_of[i] = len(remembered)
         remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
-        times.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}"))
+        times.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST))
         if memory.damping is None:
             changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
             continue
-        times.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}"))
+        times.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0))
         remembered.append(f'            Remembered(name="term_{i}_rate", unit="... / s", size={size / memory.time:.3g}),')
         changes.append(f"            flow.memory[{j + 1}],")
         changes.append(
@@ -94,7 +100,7 @@ def proposal_text(law: Leftover, number: int) -> str:
             "",
             "",
             f"class Proposal{number}(Effect):",
-            f'    name = "{effect_name(law.channel)}"',
+            f'    name = "{effect_name(law.channel, taken)}"',
             '    stage = "wrench"',
             f'    summary = "law of {law.channel} found in the leftover"',
             f'    formula = "{law.channel} = {formula}"{needs}',
@@ -114,21 +120,24 @@ def proposal_text(law: Leftover, number: int) -> str:
     )
 
 
-def _positive(name: str, unit: str, value: float, meaning: str) -> str:
+def _positive(
+    name: str, unit: str, value: float, meaning: str, lower: float = 0.0, upper: float = math.inf
+) -> str:  # fmt: skip
     """The declaration of a shape parameter: felt only where its term is, and then within reach of the proposed value."""
-    bounds = f"lower={value / REACH:.4g}, upper={value * REACH:.4g}, scale={value / 3:.3g}"
+    low, high = min(max(value / REACH, lower), value), max(min(value * REACH, upper), value)
+    bounds = f"lower={low:.4g}, upper={high:.4g}, scale={value / 3:.3g}"
     return (
         f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, null={value:.4g}, {bounds}, '
         f'meaning="{meaning}"),'
     )
 
 
-def proposed(laws: Sequence[Leftover]) -> tuple[Effect, ...]:
+def proposed(laws: Sequence[Leftover], taken: Collection[str] = ()) -> tuple[Effect, ...]:
     """The effects of the proposals, read back from their files, so that they are what a user would get."""
     out: list[Effect] = []
     with tempfile.TemporaryDirectory() as folder:
         for number, law in enumerate(laws, 1):
             path = Path(folder) / file_name(number)
-            path.write_text(proposal_text(law, number), encoding="utf-8")
+            path.write_text(proposal_text(law, number, taken), encoding="utf-8")
             out += load_effects(path)
     return tuple(out)

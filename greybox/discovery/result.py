@@ -17,6 +17,7 @@ from greybox.discovery.screen import Score
 from greybox.discovery.spectrum import Spectrum
 from greybox.discovery.stability import Stability
 from greybox.discovery.veto import Withheld
+from greybox.discovery.written import names_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
@@ -113,7 +114,8 @@ class Discovery:
     def proposals(self) -> dict[str, str]:
         """File name -> text of an effect file, one for every law of the leftover."""
         laws = () if self.leftover is None else self.leftover.laws
-        return {file_name(n): proposal_text(law, n) for n, law in enumerate(laws, 1)}
+        taken = () if self.fit is None else names_of(self.fit)
+        return {file_name(n): proposal_text(law, n, taken) for n, law in enumerate(laws, 1)}
 
     def locations(self) -> list[dict[str, Any]]:
         """Axes of force and torque: RMS of the smoothed discrepancy before and after, and what it follows before."""

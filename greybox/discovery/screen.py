@@ -25,6 +25,9 @@ from greybox.symbolic import FloatArray
 
 Key = tuple[str, str | None]
 """A parameter and, where it has one value per flight, the flight."""
+DEAD = 1e-8
+"""Information on a parameter, per typical size, that is the rounding of a difference: a shape (the time constant of a
+memory) that is not felt where the effect is not there."""
 COLLINEAR = 1e-3
 """Share of a parameter's information that must be left when the free parameters are projected out: below it only what the
 vehicle file says of the free ones tells them apart. Above it the test knows what it has lost: a battery that sags by one
@@ -87,7 +90,8 @@ def screen(
     out: list[Score] = []
     for group, members in groups.items():
         at = [i for i, n in enumerate(names) if n in set(members)]
-        alive = np.array([i for i in at if 0 < value.hessian[i, i] < np.inf], dtype=int)
+        felt = {i: value.hessian[i, i] * problem.unknowns[i].scale ** 2 for i in at}
+        alive = np.array([i for i in at if DEAD < felt[i] < np.inf], dtype=int)
         if not alive.size:
             out.append(_unjudged(group, "the log has no sensitivity to it"))
             continue

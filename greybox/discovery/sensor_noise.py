@@ -150,11 +150,14 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
     if not parts or any(p.kind == "low_pass" for p in had) or not any(n in IMU for n in suspicious(at.fit)):
         return None
     filtered = with_parts(plain, (*had, *parts))
-    known: dict[Key, float] = {(n, None): e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in timed}
+    known: dict[Key, float] = {
+        (u.name, u.flight): float(t) for u, t in zip(at.fit.problem.unknowns, at.fit.theta, strict=True)
+        if u.kind == "parameter" and u.name.split(".")[0] in timed
+    }  # fmt: skip
     tasks = []
     for gone in (None, *timed):
         chosen = tuple(e for e in at.effects if e != gone)
-        lost = sum(v for (n, _), v in known.items() if n.split(".")[0] == gone)
+        lost = float(np.mean([v for (n, _), v in known.items() if n.split(".")[0] == gone] or [0.0]))
         first = {k: v for k, v in known.items() if k[0].split(".")[0] != gone}
         first |= {(f"{p.name}.T", None): FILTER for p in parts}
         handed = {k: v + lost for k, v in first.items() if k[0] == "command_delay.d"}

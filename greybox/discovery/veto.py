@@ -187,7 +187,8 @@ def wrench_of(
     model: IdentifiedModel, data: Dataset, effects: Sequence[str], null: Mapping[str, float], core: Sequence[str] = ()
 ) -> FloatArray:
     """Force and torque, body axes [N, N m] (N, 6), that `effects` bring along the filtered flights, without their mean and
-    what the free parameters `core` could have done instead: a battery that is half empty is a smaller thrust coefficient."""
+    what the free parameters `core` could have done instead, to first order and against the model's white noise: a battery
+    that is half empty is a smaller thrust coefficient."""
     dynamics = model.dynamics
     names = [d.name for d in dynamics.parameters]
     runner = Filter(model)
@@ -202,7 +203,7 @@ def wrench_of(
         for i, n in enumerate(names):
             if n.split(".")[0] in effects:
                 without[i] = null.get(n, 0.0)
-        moved = [p.copy() for _ in core]
+        moved = [without.copy() for _ in core]
         for vector, n in zip(moved, core, strict=True):
             i = names.index(n)
             vector[i] += STEP * max(abs(p[i]), dynamics.parameters[i].scale)
@@ -218,8 +219,9 @@ def wrench_of(
                 assert states is not None
                 ends.append(states[:, 1])
             wrenches = []
-            for end in ends[1:]:
-                change = (ends[0] - end) / filtered.record.dt
+            # A step of the core is taken without the effect: with it, its own wrench would be among what the core can do.
+            for end, other in ((ends[0], ends[1]), *((e, ends[1]) for e in ends[2:])):
+                change = (end - other) / filtered.record.dt
                 wrench = np.zeros((len(rows), 6))
                 if "velocity.x" in at:
                     turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
@@ -232,11 +234,17 @@ def wrench_of(
             out.append(wrenches)
     own, *others = (np.concatenate(parts) for parts in zip(*out, strict=True))
     own = own - own.mean(axis=0)
-    for j in range(own.shape[1]):
-        x = np.column_stack([np.zeros(len(own)), *(o[:, j] - o[:, j].mean() for o in others)])
-        x = x / np.maximum(x.std(axis=0), 1e-300)
-        own[:, j] -= x @ np.linalg.lstsq(x, own[:, j], rcond=None)[0]
-    return own
+    level = dict(zip(dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    scale = np.array([1 / level[a] if level.get(a, 0.0) > 0 else 0.0 for a in AXES])
+    columns = [c - c.mean(axis=0) for c in others]
+    x = np.column_stack([np.zeros(own.size), *((c * scale).ravel() for c in columns)])
+    x = x[:, x.any(axis=0)]
+    if not x.size:
+        return own
+    size = np.sqrt((x**2).mean(axis=0))
+    share = np.linalg.lstsq(x / size, (own * scale).ravel(), rcond=1e-6)[0] / size
+    used = [c for c in columns if (c * scale).any()]
+    return np.asarray(own - sum(k * c for k, c in zip(share, used, strict=True)))
 
 
 def touched_by(wrench: FloatArray, levels: Mapping[str, float]) -> set[str]:

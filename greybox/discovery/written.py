@@ -6,7 +6,7 @@ Once it is written and fitted, what it hid stands out; terms of a second look jo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +24,7 @@ LOOKS = 2
 def with_proposals(found: Fit, leftover: Promoted, train: Dataset, known: Fit | None = None) -> Fit | None:
     """`found` refitted with the laws of the leftover as effects, from the estimates of `known` where it has them; None where
     there is no law or the refit fails."""
-    effects = proposed(leftover.laws)
+    effects = proposed(leftover.laws, names_of(found))
     if not effects:
         return None
     model: Any = found.model.dynamics
@@ -61,12 +61,20 @@ def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 
         if longer is None or longer.bic > best.bic - CLEAR:
             break
         leftover, best = more, longer
-    return (leftover if best is None else replace(leftover, axes=tuple(fitted(a, best) for a in leftover.axes))), best
+    if best is None:
+        return leftover, None
+    return replace(leftover, axes=tuple(fitted(a, best, names_of(found)) for a in leftover.axes)), best
 
 
-def fitted(law: Leftover, written: Fit) -> Leftover:
+def names_of(found: Fit) -> tuple[str, ...]:
+    """Effects of a fit's model."""
+    return tuple(e.name for e in getattr(found.model.physics, "effects", ()))
+
+
+def fitted(law: Leftover, written: Fit, taken: Collection[str] = ()) -> Leftover:
     """The law of one axis with the numbers of the fit `written` that has it as an effect; unchanged where it has not."""
-    own = {n.split(".")[1]: e.value for n, e in written.parameters.items() if n.split(".")[0] == effect_name(law.channel)}
+    name = effect_name(law.channel, taken)
+    own = {n.split(".")[1]: e.value for n, e in written.parameters.items() if n.split(".")[0] == name}
     if not own:
         return law
     terms, memories = dict[str, float](), list[tuple[Memory, float] | None]()
@@ -77,22 +85,30 @@ def fitted(law: Leftover, written: Fit) -> Leftover:
             text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
         terms[text] = own[f"c_{i}"]
         memories.append(now)
-    return replace(law, terms=terms, memories=tuple(memories)) if len(terms) == len(law.terms) else law
+    return replace(law, terms=terms, memories=tuple(memories))
+
+
+def _kind(code: str, memory: tuple[Memory, float] | None) -> tuple[str, str]:
+    """What a term is apart from its times."""
+    return code, "plain" if memory is None else "lag" if memory[0].damping is None else "swing"
 
 
 def joined(law: Leftover, others: Sequence[Leftover]) -> Leftover:
-    """The law of one axis with the terms of another look; the second share is of what the first left."""
+    """The law of one axis, if it has one, with the terms of another look that are not there yet: a lag of a signal whose lag
+    is known is the same with another time. The second share is of what the first law left."""
     for other in others:
         if other.channel != law.channel:
             continue
-        rows = list(zip(law.terms.items(), law.codes, law.memories, strict=True))
+        first = law if law.lawful else replace(law, terms={}, codes=(), memories=(), depends_on=(), share=0.0)
+        rows = list(zip(first.terms.items(), first.codes, first.memories, strict=True))
+        known = {_kind(code, m) for _, code, m in rows}
         rows += [
-            row for row in zip(other.terms.items(), other.codes, other.memories, strict=True) if row[0][0] not in law.terms
-        ]  # fmt: skip
-        rows = rows[: max(TERMS, len(law.terms))]
+            row for row in zip(other.terms.items(), other.codes, other.memories, strict=True)
+            if _kind(row[1], row[2]) not in known
+        ][: max(TERMS - len(rows), 0)]  # fmt: skip
         return replace(
             law, terms=dict(r[0] for r in rows), codes=tuple(r[1] for r in rows), memories=tuple(r[2] for r in rows),
-            share=law.share + (1 - law.share) * other.share if law.terms else other.share,
-            depends_on=tuple(dict.fromkeys((*law.depends_on, *other.depends_on))),
+            share=first.share + (1 - first.share) * other.share,
+            depends_on=tuple(dict.fromkeys((*first.depends_on, *other.depends_on))),
         )  # fmt: skip
     return law

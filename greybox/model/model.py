@@ -16,6 +16,7 @@ whole flight (Bonnabel, Martin and Salaun 2009, Invariant extended Kalman filter
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -91,10 +92,23 @@ class PhysicsModel:
         for e in self.effects:
             if missing := e.missing(self.vehicle, {s.name for s in self.sensors}):
                 raise ModelError(f"effect {e.name} needs {', '.join(missing)}", fix="add it, or leave the effect out")
-            if e.stage not in REMEMBERING and e.memory(self.vehicle):
+            own = e.memory(self.vehicle)
+            if own and e.stage not in REMEMBERING:
                 raise ModelError(
                     f"effect {e.name} of stage {e.stage} has a memory", expected=f"one of stage {' or '.join(REMEMBERING)}"
                 )
+            if own and e.early:
+                raise ModelError(
+                    f"effect {e.name} has a memory and returns {', '.join(sorted(e.early))}, needed before that is known",
+                    fix="return a force instead",
+                )
+            if len({m.name for m in own}) < len(own) or not all(re.fullmatch(r"[a-z][a-z0-9_]*", m.name) for m in own):
+                raise ModelError(
+                    f"effect {e.name}: bad names in its memory", got=", ".join(m.name for m in own),
+                    expected="each its own, of lower-case letters, digits and underscores",
+                )  # fmt: skip
+            if not all(0 < m.size < math.inf for m in own):
+                raise ModelError(f"effect {e.name}: a size in its memory is not positive", expected="what is typical of it")
         lags = [e.name for e in self.effects if "lag" in e.early]
         if len(lags) > 1:
             raise ModelError(f"two lags of the rotors: {', '.join(lags)}", fix="keep one of them")
@@ -147,6 +161,11 @@ class PhysicsModel:
     @cached_property
     def _remembered(self) -> tuple[Remembered, ...]:
         return tuple(r for own in self._memory.values() for r in own)
+
+    @property
+    def memory_sizes(self) -> dict[str, float]:
+        """State of an effect's own -> what is typical of it."""
+        return {f"memory.{e}.{r.name}": r.size for e, own in self._memory.items() for r in own}
 
     @cached_property
     def _needs_vbat(self) -> bool:
@@ -259,8 +278,10 @@ class PhysicsModel:
             return False
         x = self._symbols()
         nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
-        sf, alpha, _ = self._rigid_body(x, nu, nu * 0, u, ca.SX.sym("p", len(self.parameters)), ca.DM.zeros(6))
-        return any(ca.which_depends(ca.vertcat(sf, alpha), x["position"], 1, False))
+        p = ca.SX.sym("p", len(self.parameters))
+        sf, alpha, flow = self._rigid_body(x, nu, nu * 0, u, p, ca.DM.zeros(6))
+        felt = ca.vertcat(sf, alpha, *self._changes(flow, x, p).values())
+        return any(ca.which_depends(felt, x["position"], 1, False))
 
     @cached_property
     def states(self) -> Layout:
@@ -481,13 +502,17 @@ class PhysicsModel:
     def _changes(self, flow: Flow, x: Mapping[str, Expr], p: Expr) -> dict[str, Expr]:
         """d memory / dt of all effects that remember, as a block; none where no effect does."""
         values = self._values(p)
-        parts = [
-            ca.vertcat(e.remember(self._with_memory(e, flow, x), self._own(e, values)))
-            for e in self.effects if e.name in self._memory
-        ]  # fmt: skip
-        for (name, own), part in zip(self._memory.items(), parts, strict=True):
-            if part.numel() != len(own):
-                raise ModelError(f"effect {name}: remember() gives {part.numel()} values", expected=f"{len(own)}")
+        parts = []
+        for e in self.effects:
+            if e.name not in self._memory:
+                continue
+            change = e.remember(self._with_memory(e, flow, x), self._own(e, values))
+            part = ca.vertcat(*change) if isinstance(change, list | tuple) else ca.vertcat(change)
+            expected = len(self._memory[e.name])
+            if part.shape != (expected, 1):
+                got = "x".join(str(n) for n in part.shape)
+                raise ModelError(f"effect {e.name}: remember() gives {got} values", expected=f"a column of {expected}")
+            parts.append(part)
         return {"memory": ca.vertcat(*parts)} if parts else {}
 
     def _measure(self, flow: Flow, specific_force: Expr, p: Expr) -> dict[str, Expr]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.discovery.candidates import candidates
+from greybox.discovery.gap import squares
 from greybox.discovery.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.discovery.leftover import Leftover, promote
+from greybox.discovery.nested import Nest
 from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.terms import Memory, Term
 from greybox.discovery.written import joined, looked_again, with_proposals
@@ -108,8 +112,6 @@ def test_terms_with_and_without_a_memory_share_a_file():
 
 @pytest.mark.parametrize("hidden", [RelaxingDrag(k=0.25), SloshingMass(mass=0.03)], ids=lambda e: e.name)
 def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(hidden: RelaxingDrag | SloshingMass):
-    from greybox.discovery.gap import squares
-
     train, test = (flights(x250([hidden]), seeds, 10.0, "log") for seeds in ((51, 52), (53,)))
     model = build_model(vehicle(), train.channels, sample_time=DT)
     core = [d.name for d in model.parameters if d.sigma > 0]
@@ -143,3 +145,33 @@ def test_terms_of_a_second_look_join_those_of_the_first():
     assert [m is None for m in both.memories] == [True, False, False]
     assert both.share == pytest.approx(0.99)
     assert joined(law("force.z", plain), [law("force.y", swing)]).terms == {"p": 0.5}
+    # Another time of a known lag is the same term, and what was too little for a law does not join one.
+    slower = every(z)[1]
+    assert slower.code == lag.code
+    assert list(joined(law("force.x", lag), [law("force.x", slower, swing)]).terms) == [lag.text, swing.text]
+    weak = replace(law("force.x", plain), share=0.1)
+    again = joined(weak, [law("force.x", swing)])
+    assert list(again.terms) == [swing.text]
+    assert again.share == 0.9
+
+
+def test_a_proposal_next_to_an_earlier_one_has_a_name_of_its_own():
+    z = features()
+    earlier = proposed([law("force.x", every(z)[0])])
+    (later,) = proposed([law("force.x", every(z)[1])], [e.name for e in earlier])
+    assert [e.name for e in (*earlier, later)] == ["proposal_force_x", "further_proposal_force_x"]
+    assert len(build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [*earlier, later]).effects) == 2
+
+
+def test_what_is_not_felt_without_the_effect_takes_no_part_in_its_test():
+    """A time constant does nothing at the null of its coefficient: not a direction of the test, and no size to be seen."""
+    data = flights(x250([RelaxingDrag(k=0.25)]), (51, 52), 4.0, "log")
+    slow = Term(text="v", code="flow.velocity[0]", uses=("v",), values=np.ones(3), memory=Memory(time=1.0))
+    offered = candidates(vehicle(), data.channels, own=proposed([law("force.x", slow)]), sample_time=DT)
+    nest = Nest(candidates=offered, data=data)
+    null = nest.refit(())
+    (score,) = [s for s in nest.screen(null) if s.name == "proposal_force_x"]
+    assert score.dof == 1
+    assert {n for n, _ in score.estimate} == {"proposal_force_x.c_1"}
+    found = nest.refit(("proposal_force_x",), start=null, first=score.estimate)
+    assert found.fit.parameters["proposal_force_x.time_1"].value == pytest.approx(0.3, abs=0.1)

@@ -125,14 +125,52 @@ def test_rules_of_all_effects_hold():
         def remember(self, flow, p):
             return flow.memory / (flow.velocity * 0)
 
+    class Gust(Wake):
+        name = "gust"
+        early = frozenset({"wind"})
+
+    class Negative(Wake):
+        name = "negative"
+
+        def memory(self, vehicle):
+            return (Remembered(name="a", unit="-", size=float("nan")),)
+
+    class Named(Wake):
+        name = "named"
+
+        def memory(self, vehicle):
+            return (Remembered(name="a b", unit="-", size=1.0),)
+
     for wrong, message in (
+        (Gust(), "has a memory and returns wind"),
+        (Negative(), "size in its memory is not positive"),
+        (Named(), "bad names in its memory"),
         (Stuck(), "has a memory; expected one of stage thrust or wrench"),
-        (Short(), r"remember\(\) gives 2 values; expected 3"),
+        (Short(), r"remember\(\) gives 2x1 values; expected a column of 3"),
         (Silent(), "does not say how it changes"),
         (Endless(), "not finite"),
     ):
         with pytest.raises(ModelError, match=message):
             check_effect(wrong)
+
+
+def test_a_memory_may_follow_the_place():
+    class Hill(Wake):
+        """A cushion of air that builds up slowly."""
+
+        name = "hill"
+
+        def memory(self, vehicle):
+            return (Remembered(name="a", unit="1/m", size=1.0),)
+
+        def remember(self, flow, p):
+            return [(1 / flow.position[2] ** 2 - flow.memory) / p["T"]]
+
+        def apply(self, flow, p):
+            return {"force": p["k"] * ca.vertcat(0, 0, flow.memory)}
+
+    own = model(Hill())
+    assert own.reference({"z": 1.5})[2] == 1.5  # where the filter is linearised
 
 
 def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
