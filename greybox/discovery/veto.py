@@ -65,8 +65,8 @@ PROVEN = 0.1
 """Relative fall of the mean square ahead on held-out flights from which on, `SURE` standard errors clear, a name that also
 gained `PLAIN` has proven itself. Any constant does so where a law is missing, and proves nothing."""
 SURE = 5.0
-SENSED = {"accelerometer": "force"}
-"""What an unmodelled wrench is mistaken for by an effect of that sensor; of all others it is the torque."""
+SENSED = {"accelerometer": ("force",), "gyro": ("torque",)}
+"""What is mistaken for an error of that sensor, and the other way round; of all others (a late pose) it is either."""
 AXES = tuple(f"{kind}.{a}" for kind in ("force", "torque") for a in "xyz")
 STEP = 1e-3
 """Relative step of a parameter of the core whose wrench is looked at."""
@@ -284,12 +284,11 @@ def misfit(
 def misread(
     effects: Sequence[str], left: Sequence[Leftover], gained: float, total: float = np.inf
 ) -> Withheld | None:  # fmt: skip
-    """As `misfit` for effects of sensors. Errors of an IMU are mistaken for a wrench, and a wrench for them: they must
-    explain twice what the axes of force (accelerometer) or torque (gyro) still miss."""
-    heads = {n.split("_")[0] for n in effects}
-    kinds = {SENSED.get(h, "torque") for h in heads}
+    """As `misfit` for effects of sensors. Their errors are mistaken for a wrench, and a wrench for them: they must explain
+    twice what the axes of force (accelerometer), torque (gyro) or both (all others) still miss."""
+    kinds = {k for n in effects for k in SENSED.get(n.split("_")[0], ("force", "torque"))}
     near = sum(law.gain for law in left if law.channel.split(".")[0] in kinds)
-    if heads <= {"accelerometer", "gyro"} and min(near, total) > HALF * gained:
+    if min(near, total) > HALF * gained:
         reason = f"the axes of {' and '.join(sorted(kinds))} miss more than half of what it explained"
         return Withheld(effects=tuple(effects), reason=reason)
     return misfit_of(effects, kinds, {}, left, gained)

@@ -216,7 +216,8 @@ def test_an_imus_error_must_explain_twice_what_its_axes_miss():
     assert misread(("accelerometer_scale",), left, 100, total=49) is None
     assert misread(("gyro_bias",), left, 100) is None
     assert misread(("gyro_bias",), [law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 100) is not None
-    assert misread(("pose_delay",), [law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 100) is None
+    assert misread(("pose_delay",), [*left, law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 200) is not None
+    assert misread(("pose_delay",), [*left, law("torque.z", rms=1.0, share=0.0, gain=51, terms={})], 223) is None
 
 
 def test_likeness_is_a_correlation_on_the_axes_of_the_first():
