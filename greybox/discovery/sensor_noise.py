@@ -20,8 +20,10 @@ import scipy.stats
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import TIMING, Candidates
+from greybox.discovery.leftover import promote
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit
 from greybox.discovery.screen import Key, Score
+from greybox.discovery.veto import HALF
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
@@ -49,6 +51,8 @@ LINE, SHARP = 1.0, 1e-6
 """Start value of a line's decay time [s]; probability of so high a peak of the periodogram by chance."""
 SILENT = 7.0
 """Logarithm by which a level falls where a part is tried without."""
+ENOUGH = 12
+"""Iterations that show how much is left."""
 TOLERANCE = 1e-3
 """Where the fit of noise levels stops: they are compared, not reported, to a hundredth of a standard error."""
 
@@ -168,7 +172,11 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
     best = min((r for r in filtered.contest(tasks, at.bic) if r.comparable), key=lambda r: r.bic, default=None)
     if best is None or best.bic >= at.bic - CLEAR or any(f"{p.name}.T" in best.bounds for p in parts):
         return None
-    return filtered, filtered.settle(best), {p.name: at.bic - best.bic for p in parts}
+    now = filtered.settle(best)
+    # As every name it must explain twice what is left: where much is missing a filter takes up some of it.
+    if promote(now.fit, plain.data, iterations=ENOUGH).gain > HALF * (at.bic - now.bic):
+        return None
+    return filtered, now, {p.name: at.bic - now.bic for p in parts}
 
 
 def may_be_filtered(rival: NestedFit, scores: Sequence[Score], alpha: float) -> bool:

@@ -17,7 +17,7 @@ from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, wrench_of
-from greybox.discovery.written import with_proposals
+from greybox.discovery.written import looked_again
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
 
@@ -31,12 +31,14 @@ its variance."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verified:
-    """The last fit, the additions that stay, the names that were taken back, and what is left."""
+    """The last fit, the additions that stay, the names that were taken back, what is left, and the fit with its laws
+    `written` (None without one)."""
 
     at: NestedFit
     additions: list[Addition]
     withheld: list[Withheld]
     leftover: Promoted
+    written: Fit | None
 
 
 def verified(
@@ -50,12 +52,14 @@ def verified(
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
+    looked: tuple[Promoted, tuple[Promoted, Fit | None]] | None = None  # what was looked at again, and what that gave
     while kept and leftover.unnamed:
         doubts = [(a, w) for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
         plain = [a for a, _ in doubts if any(set(a.effects) <= set(p) for p in proven)]
         wrong = [w for a, w in doubts if a not in plain]
         if plain and not wrong:  # what proved itself is asked last, once nothing else bends the fit
-            reached = min(at.fit.bic, _bic(with_proposals(at.fit, leftover, train)))
+            looked = leftover, looked_again(at.fit, leftover, train, seed=seed)
+            reached = min(at.fit.bic, _bic(looked[1][1]))
             wrong += [w for a in plain if (w := _replaced(nest, at, a, reached, train, seed)) is not None]
         if not wrong:
             break
@@ -83,7 +87,10 @@ def verified(
                 Withheld(effects=(n,), reason="it is not needed without what was taken back") for n in sorted(lost)
             ]
             kept, leftover = still, promote(at.fit, train, seed=seed)
-    return Verified(at=at, additions=kept, withheld=withheld, leftover=leftover)
+    if looked is None or looked[0] is not leftover:
+        looked = leftover, looked_again(at.fit, leftover, train, seed=seed)
+    seen = looked[1]
+    return Verified(at=at, additions=kept, withheld=withheld, leftover=seen[0], written=seen[1])
 
 
 def _all_of(at: NestedFit, addition: Addition, stage: str) -> bool:
@@ -109,7 +116,7 @@ def _replaced(
     all laws next to it, which together reach `bic`. What bends towards a missing law improves everything, too. A law that
     pushes as the name does, and explains little more, is the name in other words."""
     without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
-    lawful = with_proposals(without.fit, promote(without.fit, train, seed=seed), train)
+    _, lawful = looked_again(without.fit, promote(without.fit, train, seed=seed), train, seed=seed)
     if lawful is None or lawful.bic - bic >= CLEAR:
         return None
     null = {d.name: d.null for d in lawful.model.dynamics.parameters if d.null is not None}

@@ -41,7 +41,6 @@ from greybox.discovery.stability import stability
 from greybox.discovery.velocity import drifts
 from greybox.discovery.verify import gap_rows, verified
 from greybox.discovery.veto import HeldOut, Withheld, unseen
-from greybox.discovery.written import looked_again
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
@@ -154,7 +153,6 @@ def discover(
     before = before or leftover
     if not leftover.known:
         warnings.append("no law of what is left was sought: with disturbance states the model has no finite prediction")
-    leftover, written = looked_again(at.fit, leftover, train, seed=seed)
     say("flight by flight", 0.88)
     steady = stability(nest, at, additions)
     warnings += [
@@ -167,7 +165,7 @@ def discover(
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
     rows = gap_rows(
-        null, at, written, train, judge, attainable=attainable, seed=seed,
+        null, at, last.written, train, judge, attainable=attainable, seed=seed,
         say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
     separating = {}
