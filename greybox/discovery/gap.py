@@ -8,7 +8,7 @@ there are at least four; Kunsch 1989, Annals of Statistics 17(3)).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,8 @@ from greybox.validation.open_loop import GroupReader, predict_from
 
 SECONDS = (0.0, 0.1, 0.5, 1.0)
 """Horizons [s]; 0 stands for one sample."""
+TENTH = 0.1
+"""Share of the gap by which written laws must make it worse to be called that."""
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
@@ -61,6 +63,14 @@ class GapRow:
             "ci95": None if self.ci95 is None else list(self.ci95), "with_proposals": self.with_proposals,
             "attainable": self.attainable,
         }  # fmt: skip
+
+
+def outgrown(rows: Iterable[GapRow]) -> list[str]:
+    """Groups and horizons in which the proposed laws close clearly less (a tenth of the gap) than the names alone."""
+    return [
+        f"{r.group} {r.horizon_s:g} s ahead" for r in rows
+        if r.closed is not None and r.with_proposals is not None and r.with_proposals < r.closed - TENTH
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

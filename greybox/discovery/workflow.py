@@ -20,6 +20,7 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import TIMING, candidates
 from greybox.discovery.experiment import separating_manoeuvre
+from greybox.discovery.gap import outgrown
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune, stands_in
 from greybox.discovery.nested import Nest, NestedFit, led
@@ -168,6 +169,11 @@ def discover(
         null, at, last.written, train, judge, attainable=attainable, seed=seed,
         say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
+    if judged is not train and (grown := outgrown(rows)):
+        warnings.append(
+            f"the proposed laws do not hold on the test flights ({', '.join(grown)} grow with them): they describe the "
+            "training flights alone"
+        )
     separating = {}
     for a in additions:
         if a.rivals:

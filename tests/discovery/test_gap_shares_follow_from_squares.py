@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.discovery.gap import Squares, gap, groups_of
+from greybox.discovery.gap import GapRow, Squares, gap, groups_of, outgrown
 
 KEY = ("rate", 0.5)
 
@@ -67,3 +67,15 @@ def test_every_group_of_the_table_is_listed_once_in_order():
     )
     assert groups_of(rows) == ("rotation", "rate")
     assert [r.horizon_s for r in rows] == [0.1, 0.5, 0.5]
+
+
+def test_laws_that_make_the_test_flights_worse_are_said():
+    def row(group: str, closed: float | None, laws: float | None) -> GapRow:
+        return GapRow(
+            group=group, unit="m", horizon_s=0.5, before=1.0, after=0.5, floor=0.1, closed=closed, ci95=None,
+            with_proposals=laws,
+        )  # fmt: skip
+
+    rows = [row("position", 0.5, 0.9), row("velocity", 0.5, 0.45), row("rate", 0.5, -6.0), row("rotation", None, None)]
+    assert outgrown(rows) == ["rate 0.5 s ahead"]
+    assert outgrown([row("rate", 0.5, None)]) == []
