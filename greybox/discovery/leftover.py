@@ -199,11 +199,11 @@ def laws_of(offered: Library, samples: int, seed: int, free: Iterable[str]) -> d
 def _merged(offered: Library, kept: Sequence[int]) -> list[int]:
     """Of memories of one kind that follow one signal on one axis the first: two of the grid stand for one that lies between,
     and a refit, whose times are free, would find that twice."""
-    seen, out = set[tuple[str, str, bool]](), list[int]()
+    seen, out = set[tuple[str, str, str]](), list[int]()
     for i in kept:
         axis, term = offered.columns[i]
         if term.memory is not None:
-            key = (axis, term.code, term.memory.damping is None)
+            key = (axis, term.code, term.memory.kind)
             if key in seen:
                 continue
             seen.add(key)

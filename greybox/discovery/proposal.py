@@ -42,25 +42,7 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
     place = "xyz".index(axis)
     unit = law.unit
     rows = list(zip(law.terms.items(), law.codes, strict=True))
-    kept = [(i, code, *m) for i, (code, m) in enumerate(zip(law.codes, law.memories, strict=False), 1) if m is not None]
-    place_of: dict[int, int] = {}
-    remembered: list[str] = []
-    changes: list[str] = []
-    times: list[str] = []
-    for i, code, memory, size in kept:
-        j = place_of[i] = len(remembered)
-        remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
-        times.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST))
-        if memory.damping is None:
-            changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
-            continue
-        times.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0))
-        remembered.append(f'            Remembered(name="term_{i}_rate", unit="... / s", size={size / memory.time:.3g}),')
-        changes.append(f"            flow.memory[{j + 1}],")
-        changes.append(
-            f'            ({code} - flow.memory[{j}]) / p["time_{i}"] ** 2'
-            f' - 2 * p["damping_{i}"] * flow.memory[{j + 1}] / p["time_{i}"],'
-        )
+    places, shapes, past = _past(law)
     declared = [
         f'            Parameter(name="c_{i}", unit="{unit} / ...", nominal=0.0, null=0.0, scale={max(abs(c), 1e-12):.3g}, '
         f'meaning="{text}"),'
@@ -68,7 +50,7 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
     ]
     summed = [
         f'        {"value = " if i == 1 else "value += "}p["c_{i}"] * '
-        + (f"flow.memory[{place_of[i]}]" if i in place_of else f"({code})")
+        + (f"flow.memory[{places[i]}]" if i in places else f"({code})")
         for i, (_, code) in enumerate(rows, 1)
     ]
     parts = ["0.0", "0.0", "0.0"]
@@ -77,11 +59,7 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
     needs = ""
     if any("flow.vbat" in code for code in law.codes):
         needs = '\n    needs = Needs(columns=("vbat",))'
-    past: list[str] = []
-    if kept:
-        past = ["", "    def memory(self, vehicle):", "        return (", *remembered, "        )"]
-        past += ["", "    def remember(self, flow, p):", "        return ca.vertcat(", *changes, "        )"]
-    imports = ["Effect", *(["Needs"] if needs else []), *(["Remembered"] if kept else [])]
+    imports = ["Effect", *(["Needs"] if needs else []), *(["Remembered"] if past else [])]
     return "\n".join(
         [
             f'"""Proposed by greybox discover: a law of {law.channel} [{unit}] that no effect of the catalogue explains.',
@@ -108,7 +86,7 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
             "    def parameters(self, vehicle):",
             "        return (",
             *declared,
-            *times,
+            *shapes,
             "        )",
             *past,
             "",
@@ -118,6 +96,34 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
             "",
         ]
     )
+
+
+def _past(law: Leftover) -> tuple[dict[int, int], list[str], list[str]]:
+    """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`, the declarations of times
+    and dampings, and the two methods of an effect that remembers (none where no term does)."""
+    places, remembered, changes, shapes = dict[int, int](), list[str](), list[str](), list[str]()
+    for i, (code, kept) in enumerate(zip(law.codes, law.memories, strict=False), 1):
+        if kept is None:
+            continue
+        memory, size = kept
+        j = places[i] = len(remembered)
+        remembered.append(f'            Remembered(name="term_{i}", unit="...", size={size:.3g}),')
+        shapes.append(_positive(f"time_{i}", "s", memory.time, f"memory of term {i}", lower=SHORTEST))
+        if memory.damping is None:
+            changes.append(f'            ({code} - flow.memory[{j}]) / p["time_{i}"],')
+            continue
+        shapes.append(_positive(f"damping_{i}", "-", memory.damping, f"damping ratio of term {i}", upper=1.0))
+        remembered.append(f'            Remembered(name="term_{i}_rate", unit="... / s", size={size / memory.time:.3g}),')
+        changes.append(f"            flow.memory[{j + 1}],")
+        changes.append(
+            f'            ({code} - flow.memory[{j}]) / p["time_{i}"] ** 2'
+            f' - 2 * p["damping_{i}"] * flow.memory[{j + 1}] / p["time_{i}"],'
+        )
+    if not places:
+        return places, shapes, []
+    methods = ["", "    def memory(self, vehicle):", "        return (", *remembered, "        )"]
+    methods += ["", "    def remember(self, flow, p):", "        return ca.vertcat(", *changes, "        )"]
+    return places, shapes, methods
 
 
 def _positive(

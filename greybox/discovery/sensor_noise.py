@@ -21,7 +21,7 @@ import scipy.stats
 from greybox.data import Dataset
 from greybox.discovery.candidates import TIMING, Candidates
 from greybox.discovery.leftover import promote
-from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit
+from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit, Task
 from greybox.discovery.screen import Key, Score
 from greybox.discovery.veto import HALF
 from greybox.estimation.fit import Fit, fit, noise_of
@@ -83,19 +83,31 @@ def with_parts(nest: Nest, parts: Iterable[NoisePart]) -> Nest:
     return replace(nest, candidates=replace(offered, model=model, core=core))
 
 
+def _imu_filters(nest: Nest) -> tuple[NoisePart, ...]:
+    """Filters of gyro and accelerometer that the model could have; none where it has them already."""
+    physics: Any = white(nest.candidates.model)
+    if any(p.kind == "low_pass" for p in parts_of(nest.candidates.model)):
+        return ()
+    sensors = {s.name for s in physics.sensors}
+    return tuple(NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors)
+
+
+def _likeliest(nest: Nest, tasks: Sequence[Task], held: float) -> Refit | None:
+    """The best fit of a contest against one of BIC `held`; None where none can be compared."""
+    found = [r for r in nest.contest(tasks, held) if r.comparable]
+    return min(found, key=lambda r: r.bic, default=None)
+
+
 def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, NestedFit, dict[str, float]] | None:
     """(nest, fit, BIC gain of the whole filter by part name) with a low-pass of the IMU, where BIC prefers it to `rival`,
     or it and one of the rival's effects to the rival.
 
     `at` is the fit without either. None where the IMU is filtered already, or is not there, or the filter does not win.
     """
-    physics: Any = white(nest.candidates.model)
-    sensors = {s.name for s in physics.sensors}
-    had = parts_of(nest.candidates.model)
-    parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
-    if not parts or any(p.kind == "low_pass" for p in had):
+    parts = _imu_filters(nest)
+    if not parts:
         return None
-    filtered = with_parts(nest, (*had, *parts))
+    filtered = with_parts(nest, (*parts_of(nest.candidates.model), *parts))
     # A filter delays slow signals by its time constant; noise levels of the better fit are the nearer start.
     late = rival.fit.parameters["sensor_delay.d"].value if "sensor_delay" in rival.effects else FILTER
     first: dict[tuple[str, str | None], float] = {(f"{p.name}.T", None): max(late, 0.25 * FILTER) for p in parts}
@@ -136,7 +148,7 @@ def unfiltered(plain: Nest, start: NestedFit, at: NestedFit) -> NestedFit | None
         known: dict[Key, float] = {(n, None): e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in chosen}
         more = {k: v + float(np.mean(late)) for k, v in known.items() if k[0].split(".")[0] in timed}
         tasks += [plain.task(chosen, start=start, first=first) for first in (known, known | more)]
-    best = min((r for r in plain.contest(tasks, at.bic) if r.comparable), key=lambda r: r.bic, default=None)
+    best = _likeliest(plain, tasks, at.bic)
     return plain.settle(best) if best is not None and best.bic < at.bic + CLEAR else None
 
 
@@ -147,13 +159,10 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
     A lag and two delays imitate a filter and two delays; each of them alone, or the filter next to all, is worse or leads
     back. What is left out hands its time to the delays that stay, and the pose, which no filter touches, may be later.
     """
-    physics: Any = white(plain.candidates.model)
-    had, timed = parts_of(plain.candidates.model), [e for e in at.effects if e in TIMING]
-    sensors = {s.name for s in physics.sensors}
-    parts = [NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors]
-    if not parts or any(p.kind == "low_pass" for p in had) or not any(n in IMU for n in suspicious(at.fit)):
+    timed, parts = [e for e in at.effects if e in TIMING], _imu_filters(plain)
+    if not parts or not any(n in IMU for n in suspicious(at.fit)):
         return None
-    filtered = with_parts(plain, (*had, *parts))
+    filtered = with_parts(plain, (*parts_of(plain.candidates.model), *parts))
     known: dict[Key, float] = {
         (u.name, u.flight): float(t) for u, t in zip(at.fit.problem.unknowns, at.fit.theta, strict=True)
         if u.kind == "parameter" and u.name.split(".")[0] in timed
@@ -169,7 +178,7 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
         for more in {tuple(m.items()): m for m in ({}, later, handed, handed | later)}.values():
             task = filtered.task(chosen, start=at, first=first | more)
             tasks.append(replace(task, starts=task.starts[:1]))
-    best = min((r for r in filtered.contest(tasks, at.bic) if r.comparable), key=lambda r: r.bic, default=None)
+    best = _likeliest(filtered, tasks, at.bic)
     if best is None or best.bic >= at.bic - CLEAR or any(f"{p.name}.T" in best.bounds for p in parts):
         return None
     now = filtered.settle(best)

@@ -37,6 +37,11 @@ class Memory:
     time: float
     damping: float | None = None
 
+    @property
+    def kind(self) -> str:
+        """What it is apart from its numbers: terms of one kind that follow one signal are the same with another time."""
+        return "lag" if self.damping is None else "swing"
+
     def __str__(self) -> str:
         if self.damping is None:
             return f"within {self.time:.2g} s"

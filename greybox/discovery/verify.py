@@ -16,8 +16,8 @@ from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, wrench_of
-from greybox.discovery.written import looked_again
+from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, white_levels, wrench_of
+from greybox.discovery.written import Looked, looked_again
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
 
@@ -52,14 +52,14 @@ def verified(
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
     leftover = promote(at.fit, train, seed=seed)
-    looked: tuple[Promoted, tuple[Promoted, Fit | None]] | None = None  # what was looked at again, and what that gave
+    looked: Looked | None = None
     while kept and leftover.unnamed:
         doubts = [(a, w) for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
         plain = [a for a, _ in doubts if any(set(a.effects) <= set(p) for p in proven)]
         wrong = [w for a, w in doubts if a not in plain]
         if plain and not wrong:  # what proved itself is asked last, once nothing else bends the fit
-            looked = leftover, looked_again(at.fit, leftover, train, seed=seed)
-            reached = min(at.fit.bic, _bic(looked[1][1]))
+            looked = looked_again(at.fit, leftover, train, seed=seed)
+            reached = at.fit.bic if looked.written is None else min(at.fit.bic, looked.written.bic)
             wrong += [w for a in plain if (w := _replaced(nest, at, a, reached, train, seed)) is not None]
         if not wrong:
             break
@@ -87,10 +87,9 @@ def verified(
                 Withheld(effects=(n,), reason="it is not needed without what was taken back") for n in sorted(lost)
             ]
             kept, leftover = still, promote(at.fit, train, seed=seed)
-    if looked is None or looked[0] is not leftover:
-        looked = leftover, looked_again(at.fit, leftover, train, seed=seed)
-    seen = looked[1]
-    return Verified(at=at, additions=kept, withheld=withheld, leftover=seen[0], written=seen[1])
+    if looked is None or looked.first is not leftover:
+        looked = looked_again(at.fit, leftover, train, seed=seed)
+    return Verified(at=at, additions=kept, withheld=withheld, leftover=looked.leftover, written=looked.written)
 
 
 def _all_of(at: NestedFit, addition: Addition, stage: str) -> bool:
@@ -106,7 +105,7 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
         wrench = wrench_of(at.fit.model, train, addition.effects, nest.candidates.null, nest.candidates.core)
     except FitError:
         return None  # a velocity that nothing holds ran away: what the effect does along the flights is not known
-    return misfit(addition.effects, wrench, _levels(at), leftover.unnamed, addition.delta_bic, leftover.gain)
+    return misfit(addition.effects, wrench, white_levels(at.fit.model), leftover.unnamed, addition.delta_bic, leftover.gain)
 
 
 def _replaced(
@@ -116,7 +115,7 @@ def _replaced(
     what it did; with the laws next to it it reaches `bic`. What bends towards a missing law improves everything, too. A law
     that pushes as the name does, and explains little more, is the name in other words."""
     without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
-    _, lawful = looked_again(without.fit, promote(without.fit, train, seed=seed), train, seed=seed)
+    lawful = looked_again(without.fit, promote(without.fit, train, seed=seed), train, seed=seed).written
     if lawful is None or lawful.bic - bic >= max(HALF * addition.delta_bic, CLEAR):
         return None
     null = {d.name: d.null for d in lawful.model.dynamics.parameters if d.null is not None}
@@ -127,19 +126,9 @@ def _replaced(
         other = wrench_of(lawful.model, train, sorted(laws), null, core)
     except FitError:
         return None
-    if likeness(own, other, _levels(at)) > ALIKE and bic - lawful.bic < HALF * addition.delta_bic:
+    if likeness(own, other, white_levels(at.fit.model)) > ALIKE and bic - lawful.bic < HALF * addition.delta_bic:
         return None
     return Withheld(effects=addition.effects, reason="another law explains as much without it")
-
-
-def _levels(at: NestedFit) -> dict[str, float]:
-    """White noise of force and torque."""
-    return dict(zip(at.fit.model.dynamics.noises.names, at.fit.model.process_noise.tolist(), strict=True))
-
-
-def _bic(found: Fit | None) -> float:
-    """Of a fit; infinite where there is none."""
-    return float("inf") if found is None else found.bic
 
 
 def gap_rows(

@@ -29,11 +29,13 @@ from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
 from greybox.discovery.name import CLEAR
 from greybox.discovery.nested import NestedFit
+from greybox.discovery.velocity import has_velocity
 from greybox.errors import GreyboxError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import Fit
 from greybox.frames import numeric
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
@@ -193,7 +195,6 @@ def wrench_of(
     names = [d.name for d in dynamics.parameters]
     runner = Filter(model)
     engine = engine_for(dynamics, ())
-    at = {n: i for i, n in enumerate(dynamics.states.names)}
     mass = model.values["mass"]
     inertia = np.array([model.values[f"inertia.{a}{a}"] for a in "xyz"])
     out: list[list[FloatArray]] = []
@@ -218,48 +219,59 @@ def wrench_of(
                 )  # fmt: skip
                 assert states is not None
                 ends.append(states[:, 1])
-            wrenches = []
             # A step of the core is taken without the effect: with it, its own wrench would be among what the core can do.
-            for end, other in ((ends[0], ends[1]), *((e, ends[1]) for e in ends[2:])):
-                change = (end - other) / filtered.record.dt
-                wrench = np.zeros((len(rows), 6))
-                if "velocity.x" in at:
-                    turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
-                    if "attitude.w" in at:
-                        q = filtered.states[rows][:, [at[f"attitude.{a}"] for a in "wxyz"]]
-                        turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
-                    wrench[:, :3] = mass * turned
-                wrench[:, 3:] = inertia * change[:, [at[f"rate.{a}"] for a in "xyz"]]
-                wrenches.append(wrench)
-            out.append(wrenches)
+            bare = ends[1]
+            changes = [(end - bare) / filtered.record.dt for end in (ends[0], *ends[2:])]
+            out.append([_wrench(dynamics, filtered.states[rows], c, mass, inertia) for c in changes])
     own, *others = (np.concatenate(parts) for parts in zip(*out, strict=True))
     own = own - own.mean(axis=0)
-    level = dict(zip(dynamics.noises.names, model.process_noise.tolist(), strict=True))
-    scale = np.array([1 / level[a] if level.get(a, 0.0) > 0 else 0.0 for a in AXES])
-    columns = [c - c.mean(axis=0) for c in others]
-    x = np.column_stack([np.zeros(own.size), *((c * scale).ravel() for c in columns)])
-    x = x[:, x.any(axis=0)]
-    if not x.size:
+    units = _units(white_levels(model), AXES)
+    columns = [c for c in (o - o.mean(axis=0) for o in others) if (c * units).any()]
+    if not columns:
         return own
+    x = np.column_stack([(c * units).ravel() for c in columns])
     size = np.sqrt((x**2).mean(axis=0))
-    share = np.linalg.lstsq(x / size, (own * scale).ravel(), rcond=1e-6)[0] / size
-    used = [c for c in columns if (c * scale).any()]
-    return np.asarray(own - sum(k * c for k, c in zip(share, used, strict=True)))
+    share = np.linalg.lstsq(x / size, (own * units).ravel(), rcond=1e-6)[0] / size
+    return np.asarray(own - sum(k * c for k, c in zip(share, columns, strict=True)))
+
+
+def _wrench(
+    dynamics: Dynamics, states: FloatArray, change: FloatArray, mass: float, inertia: FloatArray
+) -> FloatArray:  # fmt: skip
+    """Force and torque, body axes (n, 6), that change the `states` (n, n_x) at these rates (n, n_x)."""
+    at = {n: i for i, n in enumerate(dynamics.states.names)}
+    wrench = np.zeros((len(states), 6))
+    if has_velocity(dynamics):
+        turned = change[:, [at[f"velocity.{a}"] for a in "xyz"]]
+        if "attitude.w" in at:
+            q = states[:, [at[f"attitude.{a}"] for a in "wxyz"]]
+            turned = numeric("rotate_inverse", q / np.linalg.norm(q, axis=1, keepdims=True), turned)
+        wrench[:, :3] = mass * turned
+    wrench[:, 3:] = inertia * change[:, [at[f"rate.{a}"] for a in "xyz"]]
+    return wrench
+
+
+def white_levels(model: IdentifiedModel) -> dict[str, float]:
+    """White noise of force and torque, by axis."""
+    return dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+
+
+def _units(levels: Mapping[str, float], axes: Collection[str]) -> FloatArray:
+    """One over the white noise of each of `AXES` that is among `axes`, else zero (6,)."""
+    return np.array([1 / levels[a] if a in axes and levels.get(a, 0.0) > 0 else 0.0 for a in AXES])
 
 
 def touched_by(wrench: FloatArray, levels: Mapping[str, float]) -> set[str]:
     """Axes on which a wrench (N, 6) matters against the white noise `levels`."""
-    size = np.sqrt((wrench**2).mean(axis=0)).tolist()
-    ratio = {a: s / levels[a] if levels.get(a, 0) > 0 else 0.0 for a, s in zip(AXES, size, strict=True)}
-    return {a for a in AXES if ratio[a] > 0 and ratio[a] >= TOUCHED * max(ratio.values())}
+    ratio = np.sqrt((wrench**2).mean(axis=0)) * _units(levels, AXES)
+    return {a for a, k in zip(AXES, ratio.tolist(), strict=True) if k > 0 and k >= TOUCHED * ratio.max()}
 
 
 def likeness(one: FloatArray, other: FloatArray, levels: Mapping[str, float]) -> float:
     """Correlation of two wrenches (N, 6), each axis in units of its noise, on the axes that the first touches."""
-    touched = touched_by(one, levels)
-    scale = np.array([1 / levels[a] if a in touched else 0.0 for a in AXES])
-    a, b = (one * scale).ravel(), (other * scale).ravel()
-    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), 1e-300))
+    units = _units(levels, touched_by(one, levels))
+    a, b = (one * units).ravel(), (other * units).ravel()
+    return float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
 
 
 def misfit(

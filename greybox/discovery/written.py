@@ -7,7 +7,7 @@ Once it is written and fitted, what it hid stands out; terms of a second look jo
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from greybox.data import Dataset
@@ -47,9 +47,19 @@ def with_proposals(found: Fit, leftover: Promoted, train: Dataset, known: Fit | 
     return result if result.status.converged else None
 
 
-def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 0) -> tuple[Promoted, Fit | None]:
-    """(`leftover` with the laws that a second look adds to, `found` refitted with them; None as `with_proposals`)."""
-    best = with_proposals(found, leftover, train)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Looked:
+    """`first`: what was left before; `leftover`: the same with the laws that a second look adds to, in the numbers of
+    `written`, the fit with them (None as `with_proposals`)."""
+
+    first: Promoted
+    leftover: Promoted
+    written: Fit | None
+
+
+def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 0) -> Looked:
+    """The laws of a `leftover` of the fit `found`, written, and what that leaves looked at again."""
+    first, best = leftover, with_proposals(found, leftover, train)
     for _ in range(LOOKS):
         if best is None:
             break
@@ -61,9 +71,9 @@ def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 
         if longer is None or longer.bic > best.bic - CLEAR:
             break
         leftover, best = more, longer
-    if best is None:
-        return leftover, None
-    return replace(leftover, axes=tuple(fitted(a, best, names_of(found)) for a in leftover.axes)), best
+    if best is not None:
+        leftover = replace(leftover, axes=tuple(fitted(a, best, names_of(found)) for a in leftover.axes))
+    return Looked(first=first, leftover=leftover, written=best)
 
 
 def names_of(found: Fit) -> tuple[str, ...]:
@@ -88,11 +98,6 @@ def fitted(law: Leftover, written: Fit, taken: Collection[str] = ()) -> Leftover
     return replace(law, terms=terms, memories=tuple(memories))
 
 
-def _kind(code: str, memory: tuple[Memory, float] | None) -> tuple[str, str]:
-    """What a term is apart from its times."""
-    return code, "plain" if memory is None else "lag" if memory[0].damping is None else "swing"
-
-
 def joined(law: Leftover, others: Sequence[Leftover]) -> Leftover:
     """The law of one axis, if it has one, with the terms of another look that are not there yet: a lag of a signal whose lag
     is known is the same with another time. The second share is of what the first law left."""
@@ -101,10 +106,10 @@ def joined(law: Leftover, others: Sequence[Leftover]) -> Leftover:
             continue
         first = law if law.lawful else replace(law, terms={}, codes=(), memories=(), depends_on=(), share=0.0)
         rows = list(zip(first.terms.items(), first.codes, first.memories, strict=True))
-        known = {_kind(code, m) for _, code, m in rows}
+        known = {(code, m and m[0].kind) for _, code, m in rows}
         rows += [
             row for row in zip(other.terms.items(), other.codes, other.memories, strict=True)
-            if _kind(row[1], row[2]) not in known
+            if (row[1], row[2] and row[2][0].kind) not in known
         ][: max(TERMS - len(rows), 0)]  # fmt: skip
         return replace(
             law, terms=dict(r[0] for r in rows), codes=tuple(r[1] for r in rows), memories=tuple(r[2] for r in rows),

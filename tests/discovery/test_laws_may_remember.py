@@ -118,7 +118,9 @@ def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(hidden: RelaxingD
     bare = gb.fit(model, train, free=core, initialisation="nominal")
     left = promote(bare, train)
     assert any(m is not None for a in left.laws for m in a.memories)
-    written, (again, longer) = with_proposals(bare, left, train), looked_again(bare, left, train)
+    written, seen = with_proposals(bare, left, train), looked_again(bare, left, train)
+    again, longer = seen.leftover, seen.written
+    assert seen.first is left
     assert written is not None
     assert longer is not None
     assert longer.bic <= written.bic

@@ -38,6 +38,15 @@ def white_fit(vehicle, log):
     return fit(build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise"), data
 
 
+def searched(flown, cutoff):
+    """All candidates on the log, its IMU filtered at `cutoff` [Hz] (None: not)."""
+    vehicle, log = flown
+    if cutoff is not None:
+        log = low_passed(log, ["p", "q", "r", "ax", "ay", "az"], cutoff)
+    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
+    return Nest(candidates=candidates(vehicle, data.channels, sample_time=0.01), data=data)
+
+
 def test_white_sensors_are_not_suspected(flown):
     found, data = white_fit(*flown)
     assert noise.suspicious(found) == ()
@@ -121,11 +130,7 @@ def test_model_files_have_white_sensors(flown, tmp_path):
 
 @pytest.mark.parametrize("cutoff", [None, 20.0])
 def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
-    vehicle, log = flown
-    if cutoff is not None:
-        log = low_passed(log, ["p", "q", "r", "ax", "ay", "az"], cutoff)
-    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
-    plain = Nest(candidates=candidates(vehicle, data.channels, sample_time=0.01), data=data)
+    plain = searched(flown, cutoff)
     start = plain.refit(())
     parts = tuple(NoisePart(sensor=s, kind="low_pass", time=noise.FILTER) for s in ("gyro", "accelerometer"))
     filtered = noise.with_parts(plain, parts)
@@ -142,11 +147,7 @@ def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
 
 @pytest.mark.parametrize("cutoff", [None, 20.0])
 def test_a_lag_that_was_named_in_place_of_a_filter_makes_room_for_it(flown, cutoff):
-    vehicle, log = flown
-    if cutoff is not None:
-        log = low_passed(log, ["p", "q", "r", "ax", "ay", "az"], cutoff)
-    data = dataset_from_arrays(log["t"], {k: v for k, v in log.items() if k != "t"})
-    plain = Nest(candidates=candidates(vehicle, data.channels, sample_time=0.01), data=data)
+    plain = searched(flown, cutoff)
     at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
     found = noise.filtered_after_all(plain, at)
     if cutoff is None:
