@@ -58,6 +58,9 @@ ROOM = 30.0
 """BIC behind the best within which rough fits are made exact: what matters is decided within 10."""
 FEW = 15
 """Iterations that show which of several starts leads somewhere."""
+CAREFUL = 1.0
+"""Damping with which a fit begins at sizes that are only typical: a whole first step may raise the noise levels to what the
+effect brings there, and the effect dies out."""
 LONGER = 5
 """How often a fit that ran out of iterations goes on: a long curved valley, as of a start that nothing measured, ends."""
 SHARES = (1.0, 0.3, 0.1, 0.03)
@@ -80,6 +83,7 @@ class Task:
     choices: Mapping[str, Any]
     tolerance: float = TOLERANCE
     iterations: int = 60
+    damping: float = LevenbergMarquardt.initial_damping
     marginal: bool = False
 
 
@@ -210,7 +214,10 @@ def solve(task: Task, data: Dataset) -> Refit:
         offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
         starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
-        theta, status = LevenbergMarquardt(tolerance=task.tolerance, max_iterations=task.iterations).solve(problem, start)
+        solver = LevenbergMarquardt(
+            tolerance=task.tolerance, max_iterations=task.iterations, initial_damping=task.damping
+        )  # fmt: skip
+        theta, status = solver.solve(problem, start)
         value = problem.evaluate(theta, 1 if task.marginal else 0)
     ends = [
         u.name for u, t in zip(problem.unknowns, theta, strict=True)
@@ -302,7 +309,9 @@ class Nest:
         Where the model tells how far a velocity carries, the likeliest start may lead into a local optimum: noise levels
         grow until nothing holds the velocity, and the effect dies out.
         """
-        found = self.refits([replace(task, starts=(s,), tolerance=ROUGH, iterations=FEW) for s in task.starts])
+        found = self.refits(
+            [replace(task, starts=(s,), tolerance=ROUGH, iterations=FEW, damping=CAREFUL) for s in task.starts]
+        )
         return replace(task, starts=(min(found, key=lambda r: r.bic).theta,))
 
     def refits(self, tasks: Sequence[Task]) -> list[Refit]:

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on exact sensitivities, with bounds by an active set.
 
 More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by an
-active set on the quadratic model (`boxed_step`).
+active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances (`moved_by`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ SHARES = (0.3, 0.1)
 NEAR = 1e-3
 """Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a standard error. Where the
 Gauss-Newton Hessian is not the true one, steps creep there for long."""
+
+QUIETER = 0.5
+"""Factor by which a noise level falls in one step at most."""
 
 Progress = Callable[[int, float, float], None]
 
@@ -67,8 +70,8 @@ class LevenbergMarquardt:
                 moved = False
                 for _ in range(30):
                     step = full if damping == 0.0 else boxed_step(g, h, lower - x, upper - x, damping)
-                    new = np.clip(x + step, lower, upper)
-                    taken = new - x
+                    taken = np.clip(step, lower - x, upper - x)
+                    new = np.clip(moved_by(problem, x, taken), lower, upper)
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
                     trial = problem.evaluate(new)
                     evaluations += 1
@@ -85,15 +88,15 @@ class LevenbergMarquardt:
                         break
                     # In a curved valley damping stalls; a part of the same step often gains most of it.
                     for share in SHARES:
-                        part = share * taken
-                        gain = value.cost - problem.evaluate(x + part, 0).cost
+                        part = np.clip(moved_by(problem, x, share * taken), lower, upper)
+                        gain = value.cost - problem.evaluate(part, 0).cost
                         evaluations += 1
                         if gain > 0.1 * share * float(-(g @ taken)) > 0:
-                            trial = problem.evaluate(x + part)
+                            trial = problem.evaluate(part)
                             moved = trial.valid and trial.cost < value.cost
                             break
                     if moved:
-                        x, value = x + part, trial
+                        x, value = part, trial
                         break
                     damping = max(10 * damping, 1e-6)
                 if not moved:
@@ -107,6 +110,17 @@ class LevenbergMarquardt:
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
+
+
+def moved_by(problem: Problem, x: FloatArray, step: FloatArray) -> FloatArray:
+    """x moved by a step, in which the variances of noise, not their logarithms, are taken as linear.
+
+    A single variance then needs one step of Fisher scoring whatever it starts from; its logarithm falls by a half at most,
+    and overshoots upwards. To first order the two are the same.
+    """
+    levels = np.array([u.kind == "noise" for u in problem.unknowns])
+    grown = 0.5 * np.log(np.maximum(1.0 + 2.0 * step, QUIETER**2))
+    return x + np.where(levels, grown, step)
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
