@@ -40,6 +40,8 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
 CLEAR = 10.0
 TOLERANCE = 1e-2
 """Log likelihood at which the fit of the disturbance states stops: levels that run to zero never quite get there."""
+ENOUGH = 12
+"""Iterations that show how much is left."""
 STRONG = 60.0
 """Gain above which an axis counts as deficient although no law was found."""
 SILENT = 12.0
@@ -114,22 +116,16 @@ class Promoted:
         return tuple(a for a in self.unnamed if a.lawful)
 
 
-def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -> Promoted:
+def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60, memory: bool = True) -> Promoted:
     """Disturbance states on top of `found` (physics held, levels and time constants fitted), and laws for their axes.
 
     A dozen `iterations` are enough to show where a model that misses much is deficient; its gain is then a lower bound.
+    Without `memory` laws are of what is, not of what was, and are sought in a third of the time.
     """
-    groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in found.model.dynamics.noises.names))
-    result = fit(
-        found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
-        values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
-        solver=LevenbergMarquardt(tolerance=TOLERANCE, max_iterations=iterations),
-    )  # fmt: skip
+    result, gain = disturbed(found, data, iterations)
     if result.status.code is Code.INVALID_START:
         return Promoted(fit=result, gain=0.0, axes=(), known=False)
     names = wanted_features(result.model.dynamics)
-    # Physics is held here and was free there: its parameters count once, on both sides.
-    gain = 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
     gains = axis_gains(result, gain)
     try:
         seen = discrepancy(result.model, data, names)
@@ -138,7 +134,8 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
     wanted = [c.name for c in seen.outputs if gains[c.name] > CLEAR] if gain > CLEAR else []
     laws: dict[str, dict[str, Any]] = {}
     if wanted:
-        laws = laws_of(library(found.model, result.model, data, names, wanted), result.n_samples, seed, found.parameters)
+        offered = library(found.model, result.model, data, names, wanted, memory=memory)
+        laws = laws_of(offered, result.n_samples, seed, found.parameters)
     axes = tuple(
         Leftover(
             channel=c.name, unit=c.unit, rms=float(np.sqrt(np.mean((seen.y[:, j] - seen.y[:, j].mean()) ** 2))),
@@ -147,6 +144,20 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60) -
         for j, c in enumerate(seen.outputs)
     )  # fmt: skip
     return Promoted(fit=result, gain=gain, axes=axes, regimes=regimes(seen, names))
+
+
+def disturbed(found: Fit, data: Dataset, iterations: int) -> tuple[Fit, float]:
+    """(`found` with disturbance states, its physics held; by how much they improve BIC)."""
+    groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in found.model.dynamics.noises.names))
+    result = fit(
+        found.model.dynamics, data, disturbance=groups, free=[f"disturbance.{g}.T" for g in groups],
+        values=dict(found.model.values), noise=noise_of(found.model), initialisation="nominal",
+        solver=LevenbergMarquardt(tolerance=TOLERANCE, max_iterations=iterations),
+    )  # fmt: skip
+    if result.status.code is Code.INVALID_START:
+        return result, 0.0
+    # Physics is held here and was free there: its parameters count once, on both sides.
+    return result, 2 * (result.loglik - found.loglik) - _states(result) * float(np.log(max(result.n_samples, 1)))
 
 
 def _sizes(result: Fit, gains: Mapping[str, float]) -> tuple[Leftover, ...]:

@@ -83,10 +83,11 @@ class Library:
 
 
 def library(
-    model: IdentifiedModel, disturbed: IdentifiedModel, data: Dataset, names: Sequence[str], axes: Sequence[str]
-) -> Library:
-    """Terms for `axes` on all flights. `disturbed` is `model` with disturbance states, whose smoothed states the terms are
-    evaluated at; `names` are the features that `terms` reads.
+    model: IdentifiedModel, disturbed: IdentifiedModel, data: Dataset, names: Sequence[str], axes: Sequence[str], *,
+    memory: bool = True,
+) -> Library:  # fmt: skip
+    """Terms for `axes` on all flights, those with a `memory` too. `disturbed` is `model` with disturbance states, whose
+    smoothed states the terms are evaluated at; `names` are the features that `terms` reads.
 
     The innovations are those of `model`: a filter with disturbance states takes most of a slow law for noise.
     """
@@ -105,7 +106,7 @@ def library(
     every, vehicle = np.concatenate(z), model.physics.vehicle
     ends = np.cumsum([0, *map(len, z)])
     flown = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
-    past = remembered_terms(names, every, vehicle, flown, model.sample_time)
+    past = remembered_terms(names, every, vehicle, flown, model.sample_time) if memory else []
     columns = [(axis, t) for axis in axes for t in (*terms(axis, names, every, vehicle), *past)]
     places = [model.dynamics.noises[axis] for axis in (*(axis for axis, _ in columns), *axes)]
     blocks = sum(len(stretches(len(own), len(segments))) for own in wrench)

@@ -40,24 +40,25 @@ def forward(
     while the sum of squares falls by more than `price` (in units of the noise variance)."""
     n = len(xy)
     chosen: list[int] = []
-    rest, target = xx.copy(), xy.copy()
-    size = np.diag(xx).copy()
+    size = np.diag(xx)
+    # What the chosen columns leave of every column's square and of its product with y; rows of the Cholesky factor.
+    left, target, rows = size.copy(), xy.copy(), np.zeros((0, n))
     free = np.zeros(n, dtype=bool)
     free[list(range(n) if allowed is None else allowed)] = True
     free[list(always)] = False
 
     def sweep(j: int) -> None:
-        """Project column j out of the others (a step of the Cholesky factorisation)."""
-        nonlocal rest, target
-        if rest[j, j] > RIDGE * max(size[j], 1e-300):
-            row = rest[j] / rest[j, j]
-            target = target - rest[:, j] * (target[j] / rest[j, j])
-            rest = rest - np.outer(rest[:, j], row)
+        """Project column j out of the others."""
+        nonlocal left, target, rows
+        if left[j] > RIDGE * max(size[j], 1e-300):
+            row = (xx[j] - rows[:, j] @ rows) / np.sqrt(left[j])
+            target = target - row * (target[j] / np.sqrt(left[j]))
+            left = left - row**2
+            rows = np.vstack([rows, row])
 
     for j in always:
         sweep(j)
     while free.any():
-        left = np.diag(rest)
         fit = free & (left > 1e-4 * size)
         gains = np.where(fit, target**2 / np.where(fit, left, 1.0), -1.0)
         j = int(gains.argmax())

@@ -20,7 +20,7 @@ import scipy.stats
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import TIMING, Candidates
-from greybox.discovery.leftover import promote
+from greybox.discovery.leftover import ENOUGH, disturbed
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit, Task
 from greybox.discovery.screen import Key, Score
 from greybox.discovery.veto import HALF
@@ -51,8 +51,6 @@ LINE, SHARP = 1.0, 1e-6
 """Start value of a line's decay time [s]; probability of so high a peak of the periodogram by chance."""
 SILENT = 7.0
 """Logarithm by which a level falls where a part is tried without."""
-ENOUGH = 12
-"""Iterations that show how much is left."""
 TOLERANCE = 1e-3
 """Where the fit of noise levels stops: they are compared, not reported, to a hundredth of a standard error."""
 
@@ -147,7 +145,8 @@ def unfiltered(plain: Nest, start: NestedFit, at: NestedFit) -> NestedFit | None
         chosen = tuple(e for e in at.effects if e != gone)
         known: dict[Key, float] = {(n, None): e.value for n, e in at.fit.parameters.items() if n.split(".")[0] in chosen}
         more = {k: v + float(np.mean(late)) for k, v in known.items() if k[0].split(".")[0] in timed}
-        tasks += [plain.task(chosen, start=start, first=first) for first in (known, known | more)]
+        firsts = (known, known | more) if more else (known,)
+        tasks += [plain.task(chosen, start=start, first=first) for first in firsts]
     best = _likeliest(plain, tasks, at.bic)
     return plain.settle(best) if best is not None and best.bic < at.bic + CLEAR else None
 
@@ -183,7 +182,7 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
         return None
     now = filtered.settle(best)
     # As every name it must explain twice what is left: where much is missing a filter takes up some of it.
-    if promote(now.fit, plain.data, iterations=ENOUGH).gain > HALF * (at.bic - now.bic):
+    if disturbed(now.fit, plain.data, ENOUGH)[1] > HALF * (at.bic - now.bic):
         return None
     return filtered, now, {p.name: at.bic - now.bic for p in parts}
 

@@ -21,7 +21,7 @@ from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import TIMING, candidates
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
-from greybox.discovery.leftover import Promoted, promote
+from greybox.discovery.leftover import ENOUGH, Promoted, promote
 from greybox.discovery.name import Addition, next_addition, prune, stands_in
 from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.result import Discovery
@@ -144,8 +144,8 @@ def discover(
     warnings += done.warnings
     say("leftover", 0.75)
     # A dozen iterations show where a model is deficient; where the share that is left decides, both are carried through.
-    enough = {} if offered.blind else {"iterations": 12}
-    before = promote(null.fit, train, seed=seed, **enough) if at is not null else None
+    enough: dict[str, Any] = {} if offered.blind else {"iterations": ENOUGH}
+    before = promote(null.fit, train, seed=seed, memory=False, **enough) if at is not null else None
     last = verified(nest, at, additions, train, held_out, before=before, seed=seed)
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
