@@ -157,9 +157,10 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
 
     A lag and two delays imitate a filter and two delays; each of them alone, or the filter next to all, is worse or leads
     back. What is left out hands its time to the delays that stay, and the pose, which no filter touches, may be later.
+    Where only the IMU is logged nothing is asked: a filter of all that is measured is a lag of what is commanded.
     """
     timed, parts = [e for e in at.effects if e in TIMING], _imu_filters(plain)
-    if not parts or not any(n in IMU for n in suspicious(at.fit)):
+    if not parts or plain.candidates.blind or not any(n in IMU for n in suspicious(at.fit)):
         return None
     filtered = with_parts(plain, (*parts_of(plain.candidates.model), *parts))
     known: dict[Key, float] = {

@@ -160,3 +160,13 @@ def test_a_lag_that_was_named_in_place_of_a_filter_makes_room_for_it(flown, cuto
         assert now.fit.parameters["low_pass.gyro.T"].value == pytest.approx(1 / (2 * np.pi * 20.0), rel=0.1)
         assert min(gains.values()) == pytest.approx(at.bic - now.bic)
         assert at.bic - now.bic > 100
+
+
+def test_where_only_the_imu_is_logged_a_lag_stays_a_lag(flown):
+    # A filter of everything that is measured and a lag of everything that is commanded are the same to a linear model.
+    vehicle, log = flown
+    plain = searched((vehicle, {k: v for k, v in log.items() if k[0] != "q" or k == "q"}), 20.0)
+    assert plain.candidates.blind
+    at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
+    assert noise.suspicious(at.fit)
+    assert noise.filtered_after_all(plain, at) is None
