@@ -59,8 +59,7 @@ def verified(
         wrong = [w for a, w in doubts if a not in plain]
         if plain and not wrong:  # what proved itself is asked last, once nothing else bends the fit
             looked = looked_again(at.fit, leftover, train, seed=seed)
-            reached = at.fit.bic if looked.written is None else min(at.fit.bic, looked.written.bic)
-            wrong += [w for a in plain if (w := _replaced(nest, at, a, reached, train, seed)) is not None]
+            wrong += [w for a in plain if (w := _replaced(nest, at, a, looked, train, held_out, seed)) is not None]
         if not wrong:
             break
         withheld += wrong
@@ -109,11 +108,13 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
 
 
 def _replaced(
-    nest: Nest, at: NestedFit, addition: Addition, bic: float, train: Dataset, seed: int
+    nest: Nest, at: NestedFit, addition: Addition, looked: Looked, train: Dataset, held_out: HeldOut | None, seed: int
 ) -> Withheld | None:  # fmt: skip
     """Why a name that proved itself goes nevertheless: next to another law, of what is left without it, it does not half of
-    what it did; with the laws next to it it reaches `bic`. What bends towards a missing law improves everything, too. A law
-    that pushes as the name does, and explains little more, is the name in other words."""
+    what it did, against the fit with the laws next to it (`looked`). What bends towards a missing law improves everything,
+    too. A law that pushes as the name does, and explains little more, is the name in other words, and one that does not
+    hold on the flights of `held_out` as the name did replaces nothing."""
+    bic = min(at.fit.bic, *(w.bic for w in (looked.written,) if w is not None))
     without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
     lawful = looked_again(without.fit, promote(without.fit, train, seed=seed), train, seed=seed).written
     if lawful is None or lawful.bic - bic >= max(HALF * addition.delta_bic, CLEAR):
@@ -127,6 +128,8 @@ def _replaced(
     except FitError:
         return None
     if likeness(own, other, white_levels(at.fit.model)) > ALIKE and bic - lawful.bic < HALF * addition.delta_bic:
+        return None
+    if held_out is not None and held_out.worse(at.fit, lawful):
         return None
     return Withheld(effects=addition.effects, reason="another law explains as much without it")
 

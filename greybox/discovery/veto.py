@@ -104,9 +104,12 @@ class HeldOut:
 
     def foresight(self, fitted: NestedFit) -> Foresight:
         """Errors of one fit. Raises `DataError`, `FitError`."""
-        key = id(fitted.fit)
+        return self._foresight(fitted.fit)
+
+    def _foresight(self, fitted: Fit) -> Foresight:
+        key = id(fitted)
         if key not in self._seen:
-            self._seen[key] = fitted.fit, foresee(fitted.fit.model, self.data, adapt=self.adapt)
+            self._seen[key] = fitted, foresee(fitted.model, self.data, adapt=self.adapt)
         return self._seen[key][1]
 
     def errors(self, fitted: NestedFit) -> list[dict[str, Any]]:
@@ -152,6 +155,14 @@ class HeldOut:
             return False
         fall, spread = ahead_gain(old, new)
         return new.loglik - old.loglik > PLAIN * new.samples and fall > PROVEN and fall > SURE * spread
+
+    def worse(self, now: Fit, instead: Fit) -> bool:
+        """Whether errors ahead on these flights grow clearly with the fit `instead` of `now`, or cannot be had with it."""
+        try:
+            fall, spread = ahead_gain(self._foresight(now), self._foresight(instead))
+        except GreyboxError:
+            return True
+        return fall < WORSE * spread
 
 
 def unseen(after: NestedFit, effects: Sequence[str], null: Mapping[str, float]) -> Withheld | None:

@@ -25,6 +25,7 @@ from greybox.discovery.veto import (
     unseen,
     wrench_of,
 )
+from greybox.errors import FitError
 from scenarios.plants.effects import BatterySag, ParasiticDrag, PlantEffect, RotationalDamping
 from tests.discovery.small_world import flown, vehicle
 
@@ -183,6 +184,22 @@ def test_flights_that_get_plainly_likelier_and_nearer_prove_a_name(
     fits = Fitted(()), Fitted((effect,))
     held.foresight = lambda f: seen(4.0, 0) if f is fits[0] else seen(after, likelier, seed=1)  # type: ignore[method-assign, assignment, return-value]
     assert held.proven(*fits) is proven  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("instead", "worse"), [(3.0, False), (4.0, False), (6.0, True), (None, True)])
+def test_a_law_that_does_not_hold_on_other_flights_stands_in_for_no_name(instead: float | None, worse: bool):
+    held = HeldOut(None)  # type: ignore[arg-type]
+    fits = object(), object()
+
+    def foresight(fitted: object) -> Foresight:
+        if fitted is fits[0]:
+            return seen(4.0, 0)
+        if instead is None:
+            raise FitError("the prediction is not finite")
+        return seen(instead, 0)
+
+    held._foresight = foresight  # type: ignore[method-assign, assignment]
+    assert held.worse(*fits) is worse  # type: ignore[arg-type]
 
 
 def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():
