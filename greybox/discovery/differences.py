@@ -9,13 +9,13 @@ reaches) is moved further, until it is felt: the test then looks in that directi
 from __future__ import annotations
 
 import concurrent.futures
-import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
@@ -88,7 +88,7 @@ def widened(
         for flight in flights if separate else (None,):
             added.append(_unknown(d, null[name], flight))
             tasks.append(lambda d=d, flight=flight: runner.column(d, null[d.name], flight))  # type: ignore[misc]
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
         columns = [f.result() for f in [pool.submit(t) for t in tasks]]
     blocks = []
     for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):

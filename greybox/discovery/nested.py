@@ -11,7 +11,6 @@ Fits are tasks: plain values in, plain values out. With an executor (concurrent.
 from __future__ import annotations
 
 import concurrent.futures
-import os
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.discovery.candidates import Candidates
 from greybox.discovery.differences import widened
@@ -320,7 +320,7 @@ class Nest:
         left = [i for i in range(len(tasks)) if i not in known]
         if self.executor is None or len(left) < 2 or not all(_sendable(tasks[i]) for i in left):
             # Compilers are processes: those of several models run side by side.
-            with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
                 list(pool.map(lambda i: _prepare(tasks[i], self.data), left))
             new = [solve(tasks[i], self.data) for i in left]
         else:

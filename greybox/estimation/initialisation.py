@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import functools
-import os
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.optimize
 
+from greybox.cores import cores
 from greybox.errors import DataError, FitError
 from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import Linearisation, Riccati, stationary
@@ -385,7 +385,7 @@ def multistart(
     starts = [base, *(random_start(problem, rng, base, width) for _ in range(n - 1))]
     if executor is None:
         stop = threading.Event()
-        with concurrent.futures.ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
             try:
                 runs = list(pool.map(functools.partial(_one_run, problem, solver, stop=stop), starts))
             finally:  # an interrupt reaches the main thread only

@@ -7,7 +7,6 @@ initial error state of every record. Priors are Gaussian and part of the cost (m
 from __future__ import annotations
 
 import concurrent.futures
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +15,7 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.engine import Engine, engine_for
@@ -257,7 +257,7 @@ class Problem:
         return self._ahead(work, blocks)
 
     def _ahead(self, work: Callable[[_S], _T], items: Iterable[_S]) -> Iterator[_T]:
-        workers = min(len(self.records), os.cpu_count() or 1)
+        workers = min(len(self.records), cores())
         if workers == 1 or not self.engine.compiled:
             yield from map(work, items)
             return

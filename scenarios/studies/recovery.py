@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import multiprocessing
-import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
+from greybox.cores import cores
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import effects as plant_effects
@@ -131,7 +131,7 @@ def recover(runs: int, *, seconds: float = 20.0, first_seed: int = 1000, workers
             )
         )
         context = multiprocessing.get_context("spawn")
-        with concurrent.futures.ProcessPoolExecutor(workers or os.cpu_count(), mp_context=context) as pool:
+        with concurrent.futures.ProcessPoolExecutor(workers or cores(), mp_context=context) as pool:
             for start in range(0, runs, BATCH):
                 seeds = list(range(first_seed + start, first_seed + min(start + BATCH, runs)))
                 log = fly(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
 import time
 
 import pytest
 
 import greybox as gb
+from greybox.cores import cores
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.initialisation import multistart
 from greybox.estimation.predictors.innovation import Innovation
@@ -57,7 +57,7 @@ def test_a_fit_hands_out_what_it_has(initialisation: str) -> None:
     assert progress.calls == 3, "it went on"
 
 
-@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="starts run side by side on two cores")
+@pytest.mark.skipif(cores() < 2, reason="starts run side by side on two cores")
 def test_many_starts_stop_together() -> None:
     problem = make_problem(
         motor.model(), motor.record(torque_noise=0.002), predictor=Innovation(), criterion=Gaussian()
