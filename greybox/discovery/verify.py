@@ -112,9 +112,10 @@ def _replaced(
 ) -> Withheld | None:  # fmt: skip
     """Why a name that proved itself goes nevertheless: next to another law, of what is left without it, it does not half of
     what it did, against the fit with the laws next to it (`looked`). What bends towards a missing law improves everything,
-    too. A law that pushes as the name does, and explains little more, is the name in other words, and one that does not
-    hold on the flights of `held_out` as the name did replaces nothing."""
-    bic = min(at.fit.bic, *(w.bic for w in (looked.written,) if w is not None))
+    too. A law that pushes as the name does, and explains little more, is the name in other words; one against which the
+    name, with or without laws, proves itself on the flights of `held_out` replaces nothing."""
+    named = [at.fit] if looked.written is None else [at.fit, looked.written]
+    bic = min(fit.bic for fit in named)
     without = nest.refit(tuple(e for e in at.effects if e not in addition.effects), start=at)
     lawful = looked_again(without.fit, promote(without.fit, train, seed=seed), train, seed=seed).written
     if lawful is None or lawful.bic - bic >= max(HALF * addition.delta_bic, CLEAR):
@@ -129,7 +130,7 @@ def _replaced(
         return None
     if likeness(own, other, white_levels(at.fit.model)) > ALIKE and bic - lawful.bic < HALF * addition.delta_bic:
         return None
-    if held_out is not None and held_out.worse(at.fit, lawful):
+    if held_out is not None and any(held_out.outdoes(fit, lawful) for fit in named):
         return None
     return Withheld(effects=addition.effects, reason="another law explains as much without it")
 

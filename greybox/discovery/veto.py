@@ -153,16 +153,18 @@ class HeldOut:
             old, new = self.foresight(before), self.foresight(after)
         except GreyboxError:
             return False
-        fall, spread = ahead_gain(old, new)
-        return new.loglik - old.loglik > PLAIN * new.samples and fall > PROVEN and fall > SURE * spread
+        return new.loglik - old.loglik > PLAIN * new.samples and nearer(old, new)
 
-    def worse(self, now: Fit, instead: Fit) -> bool:
-        """Whether errors ahead on these flights grow clearly with the fit `instead` of `now`, or cannot be had with it."""
+    def outdoes(self, now: Fit, instead: Fit) -> bool:
+        """Whether errors ahead are clearly lower with the fit `now` than with `instead`, or cannot be had with `instead`."""
         try:
-            fall, spread = ahead_gain(self._foresight(now), self._foresight(instead))
+            new = self._foresight(now)
+        except GreyboxError:
+            return False
+        try:
+            return nearer(self._foresight(instead), new)
         except GreyboxError:
             return True
-        return fall < WORSE * spread
 
 
 def unseen(after: NestedFit, effects: Sequence[str], null: Mapping[str, float]) -> Withheld | None:
@@ -175,6 +177,12 @@ def unseen(after: NestedFit, effects: Sequence[str], null: Mapping[str, float]) 
     if not known or any(abs(e.value - zero) > SEEN * e.std for e, zero in known):
         return None
     return Withheld(effects=tuple(effects), reason="no parameter of it is two standard errors from none")
+
+
+def nearer(old: Foresight, new: Foresight) -> bool:
+    """Whether errors ahead fall by what proves a name."""
+    fall, spread = ahead_gain(old, new)
+    return fall > PROVEN and fall > SURE * spread
 
 
 def ahead_gain(old: Foresight, new: Foresight) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from greybox.discovery import verify
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import Foresight
 from greybox.discovery.leftover import Leftover
@@ -186,20 +187,70 @@ def test_flights_that_get_plainly_likelier_and_nearer_prove_a_name(
     assert held.proven(*fits) is proven  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("instead", "worse"), [(3.0, False), (4.0, False), (6.0, True), (None, True)])
-def test_a_law_that_does_not_hold_on_other_flights_stands_in_for_no_name(instead: float | None, worse: bool):
+@pytest.mark.parametrize(
+    ("now", "instead", "outdone"),
+    [
+        (4.0, 3.0, False),
+        (4.0, 4.0, False),
+        (4.0, 4.2, False),  # by a twentieth
+        (4.0, 6.0, True),
+        (4.0, None, True),
+        (None, 6.0, False),
+        (None, None, False),
+    ],
+)
+def test_a_law_that_does_not_hold_on_other_flights_stands_in_for_no_name(
+    now: float | None, instead: float | None, outdone: bool
+):
     held = HeldOut(None)  # type: ignore[arg-type]
     fits = object(), object()
 
     def foresight(fitted: object) -> Foresight:
-        if fitted is fits[0]:
-            return seen(4.0, 0)
-        if instead is None:
+        level = now if fitted is fits[0] else instead
+        if level is None:
             raise FitError("the prediction is not finite")
-        return seen(instead, 0)
+        return seen(level, 0, seed=int(level))
 
     held._foresight = foresight  # type: ignore[method-assign, assignment]
-    assert held.worse(*fits) is worse  # type: ignore[arg-type]
+    assert held.outdoes(*fits) is outdone  # type: ignore[arg-type]
+
+
+class Told:
+    """Held-out flights on which one fit is clearly better than the law."""
+
+    def __init__(self, *better: object) -> None:
+        self.better = better
+
+    def outdoes(self, now: object, instead: object) -> bool:
+        assert instead.name == "law"  # type: ignore[attr-defined]
+        return now in self.better
+
+
+@pytest.mark.parametrize("better", [(), ("name",), ("name and law",), ("name", "name and law")])
+def test_a_proven_name_goes_where_a_law_does_its_work_on_all_flights(monkeypatch: pytest.MonkeyPatch, better: tuple[str]):
+    def fitted(name: str, bic: float) -> Any:
+        own = {"proposal_torque_x.c_1": 0.0} if "law" in name else {}
+        model = SimpleNamespace(dynamics=SimpleNamespace(parameters=[]))
+        return SimpleNamespace(name=name, bic=bic, model=model, parameters=own)
+
+    named, both, law_alone, bare = (fitted(*v) for v in (("name", 0), ("name and law", -90), ("law", -80), ("", 50)))
+    nest = SimpleNamespace(
+        refit=lambda effects, start: SimpleNamespace(fit=bare), candidates=SimpleNamespace(core=(), null={})
+    )
+    monkeypatch.setattr(verify, "promote", lambda *a, **k: None)
+    monkeypatch.setattr(verify, "looked_again", lambda *a, **k: SimpleNamespace(written=law_alone))
+    monkeypatch.setattr(verify, "wrench_of", lambda model, *a: torque(0.001) if model is named.model else -torque(0.001))
+    monkeypatch.setattr(verify, "white_levels", lambda model: LEVELS)
+    gone = verify._replaced(
+        nest,  # type: ignore[arg-type]
+        SimpleNamespace(fit=named, effects=("rotational_damping",)),  # type: ignore[arg-type]
+        SimpleNamespace(effects=("rotational_damping",), delta_bic=60.0),  # type: ignore[arg-type]
+        SimpleNamespace(written=both),  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        Told(*(f for f in (named, both) if f.name in better)),  # type: ignore[arg-type]
+        0,
+    )
+    assert (gone is None) is bool(better)
 
 
 def test_errors_ahead_are_not_asked_where_one_step_ahead_is_plain():

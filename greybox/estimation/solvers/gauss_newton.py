@@ -1,7 +1,8 @@
 """Gauss-Newton with step halving: the full step of the Gauss-Newton (Fisher scoring) model, halved until the cost falls.
 
 Nocedal and Wright 2006, Numerical Optimization, sec. 3.1 (sufficient decrease) and 10.3. Undamped: quick near the optimum,
-without the safety of Levenberg-Marquardt far from it. Bounds by projection, as there.
+without the safety of Levenberg-Marquardt far from it. Bounds by projection; steps of noise levels in their variances, as
+there.
 """
 
 from __future__ import annotations
@@ -12,9 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.estimation.problem import Problem
-from greybox.estimation.solvers.levenberg_marquardt import damped_step
+from greybox.estimation.solvers.levenberg_marquardt import FALL, damped_step, is_level, moved_by
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
+
+SUFFICIENT = 0.1
+"""Share of the decrease that the slope promises which a step must bring: one that overshoots to the other side of the valley
+brings next to nothing, and the next one back."""
 
 Progress = Callable[[int, float, float], None]
 
@@ -36,6 +41,7 @@ class GaussNewton:
         evaluations, iteration, decrement = 1, 0, np.inf
         if not value.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
+        fall = np.where(is_level(problem), FALL, -np.inf)
         code = Code.MAX_ITERATIONS
         try:
             for iteration in range(1, self.max_iterations + 1):
@@ -51,10 +57,11 @@ class GaussNewton:
                     break
                 share = 1.0
                 for _ in range(self.max_halvings):
-                    new = np.clip(x + share * step, lower, upper)
+                    part = np.clip(share * step, np.maximum(lower - x, fall), upper - x)
+                    new = np.clip(moved_by(problem, x, part), lower, upper)
                     trial = problem.evaluate(new)
                     evaluations += 1
-                    if trial.valid and trial.cost <= value.cost + 1e-4 * min(float(g @ (new - x)), 0.0):
+                    if trial.valid and trial.cost <= value.cost + SUFFICIENT * min(float(g @ (new - x)), 0.0):
                         break
                     share *= 0.5
                 else:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from greybox.estimation.problem import Problem
+from greybox.estimation.problem import Problem, Value
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -23,8 +23,11 @@ NEAR = 1e-3
 """Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a standard error. Where the
 Gauss-Newton Hessian is not the true one, steps creep there for long."""
 
-QUIETER = 0.5
-"""Factor by which a noise level falls in one step at most."""
+POOR = 0.25
+"""Part of the predicted decrease below which a step was too long."""
+
+FALL = -0.375
+"""Most negative step of a noise level: its variance falls to a quarter."""
 
 Progress = Callable[[int, float, float], None]
 
@@ -52,6 +55,7 @@ class LevenbergMarquardt:
         evaluations = 1
         if not value.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
+        fall = np.where(is_level(problem), FALL, -np.inf)
         damping = self.initial_damping if self.damped else 0.0
         decrement = np.inf
         code = Code.MAX_ITERATIONS
@@ -69,8 +73,7 @@ class LevenbergMarquardt:
                     break
                 moved = False
                 for _ in range(30):
-                    step = full if damping == 0.0 else boxed_step(g, h, lower - x, upper - x, damping)
-                    taken = np.clip(step, lower - x, upper - x)
+                    taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
                     new = np.clip(moved_by(problem, x, taken), lower, upper)
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
                     trial = problem.evaluate(new)
@@ -80,8 +83,14 @@ class LevenbergMarquardt:
                         moved = True
                         if ratio > 0.75:
                             damping = damping / 10 if damping > 1e-12 else 0.0
-                        elif ratio < 0.25:
+                        elif ratio < POOR:
                             damping = max(4 * damping, 1e-6)
+                            back = past_the_floor(x, new, g, trial)
+                            if back is not None:
+                                nearer = problem.evaluate(back)
+                                evaluations += 1
+                                if nearer.valid and nearer.cost < trial.cost:
+                                    new, trial = back, nearer
                         x, value = new, trial
                         break
                     if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(abs(value.cost), 1.0):
@@ -112,15 +121,29 @@ class LevenbergMarquardt:
         return x, status
 
 
-def moved_by(problem: Problem, x: FloatArray, step: FloatArray) -> FloatArray:
-    """x moved by a step, in which the variances of noise, not their logarithms, are taken as linear.
+def past_the_floor(x: FloatArray, new: FloatArray, gradient: FloatArray, there: Value) -> FloatArray | None:
+    """The point between x (n,), where the cost has this gradient (n,), and `new`, which has the value `there`, at which its
+    slope vanishes by the secant; None where the step did not pass the floor of the valley. The next step would come back."""
+    if there.gradient is None:
+        return None
+    before, after = float(gradient @ (new - x)), float(there.gradient @ (new - x))
+    return x + before / (before - after) * (new - x) if before < 0 < after else None
 
-    A single variance then needs one step of Fisher scoring whatever it starts from; its logarithm falls by a half at most,
-    and overshoots upwards. To first order the two are the same.
+
+def is_level(problem: Problem) -> BoolArray:
+    """Which unknowns (n,) are logarithms of noise levels."""
+    return np.array([u.kind == "noise" for u in problem.unknowns], dtype=bool)
+
+
+def moved_by(problem: Problem, x: FloatArray, step: FloatArray) -> FloatArray:
+    """x (n,) moved by a step (n,), the same to first order, in which the variances of noise, not the logarithms of its
+    levels, are linear; steps of levels are above -1/2.
+
+    A single level that is too small then needs one step of Fisher scoring, where in its logarithm a step overshoots; one
+    that is too large falls as fast as the steps are allowed to, not by a half in the logarithm.
     """
-    levels = np.array([u.kind == "noise" for u in problem.unknowns])
-    grown = 0.5 * np.log(np.maximum(1.0 + 2.0 * step, QUIETER**2))
-    return x + np.where(levels, grown, step)
+    level = is_level(problem)
+    return x + np.where(level, 0.5 * np.log1p(2.0 * np.where(level, step, 0.0)), step)
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
