@@ -59,8 +59,8 @@ ROOM = 30.0
 FEW = 15
 """Iterations that show which of several starts leads somewhere."""
 CAREFUL = 1.0
-"""Damping with which a fit begins at sizes that are only typical: a whole first step may raise the noise levels to what the
-effect brings there, and the effect dies out."""
+"""Damping with which the rough fits from several starts begin: a whole first step from a size that is only typical may raise
+the noise levels to what the effect brings there, and the effect dies out."""
 LONGER = 5
 """How often a fit that ran out of iterations goes on: a long curved valley, as of a start that nothing measured, ends."""
 SHARES = (1.0, 0.3, 0.1, 0.03)
@@ -72,7 +72,8 @@ levels then grow and shrink again for twenty iterations."""
 class Task:
     """One fit in plain values: `model` holds just the effects that are free; `starts` are unknowns to start from, of which
     the likeliest is taken; a fit without any starts its noise levels from the data. `marginal`: rivals differ in what they
-    must guess of the start of a flight (its velocity), and pay for it."""
+    must guess of the start of a flight (its velocity), and pay for it. `damping`, `tolerance` and `iterations` are those of
+    the solver."""
 
     effects: tuple[str, ...]
     model: PhysicsModel
