@@ -29,6 +29,8 @@ from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
 KINDS = ("coloured", "drift", "line", "low_pass")
+FRESH = 0.1
+"""Spread of a drift at the start, as a share of its sensor's white noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,8 +283,9 @@ class SensorNoise:
         return np.concatenate([self.inner.reference(means), *out])
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Inner start; noise starts at zero with the spread of the sensor's white noise, a filter between nothing and all of
-        what its sensor shows first (its state is what the past adds to the reading)."""
+        """Inner start; noise starts at zero with the spread of the sensor's white noise, a drift with a tenth of that (what
+        a sensor is off by from the start is a bias, an effect with a name), a filter between nothing and all of what its
+        sensor shows first (its state is what the past adds to the reading)."""
         x0, sigma = self.inner.initial_state(start)
         spread = self._scales()
         begin: list[FloatArray] = []
@@ -296,6 +299,8 @@ class SensorNoise:
                 spread[at : at + half.size] = 10.0 * spread[at : at + half.size] + np.abs(half)
                 begin.append(half)
             else:
+                at = sum(b.size for b in begin)
+                spread[at : at + size] *= FRESH if part.kind == "drift" else 1.0
                 begin.append(np.zeros(size))
         return np.concatenate([x0, *begin]), np.concatenate([sigma, spread])
 

@@ -170,3 +170,17 @@ def test_where_only_the_imu_is_logged_a_lag_stays_a_lag(flown):
     at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
     assert noise.suspicious(at.fit)
     assert noise.filtered_after_all(plain, at) is None
+
+
+def test_what_a_gyro_is_off_by_from_the_start_is_no_drift(flown):
+    vehicle, log = flown
+    rng = np.random.default_rng(1)
+    walk = {a: 0.02 + 2e-4 * np.cumsum(rng.standard_normal(len(log["t"]))) for a in "pqr"}
+    plain = searched((vehicle, log | {a: log[a] + walk[a] for a in "pqr"}), None)
+    drifting = noise.with_parts(plain, (NoisePart(sensor="gyro", kind="drift"),))
+    nothing = drifting.refit(())
+    biased = drifting.refit(("gyro_bias",), start=nothing)
+    assert nothing.bic - biased.bic > 10
+    for a in "xyz":
+        estimate = biased.fit.parameters[f"gyro_bias.b_{a}"]
+        assert abs(estimate.value - 0.02) < 3 * estimate.std < 0.015
