@@ -262,11 +262,11 @@ class SensorNoise:
     # ---------------------------------------------------------------- starts
 
     def _scales(self) -> FloatArray:
-        """Typical size of every own state: the start value of its sensor's white noise."""
+        """Typical size of every own state at the start: the start value of its sensor's white noise, of a drift a part."""
         white = self.inner.sensor_scale()
         sizes = []
         for part in self.parts:
-            level = white[list(self._rows[part.sensor][0])]
+            level = white[list(self._rows[part.sensor][0])] * (FRESH if part.kind == "drift" else 1.0)
             sizes.append(np.concatenate([level, level]) if part.kind == "line" else level)
         return np.concatenate(sizes) if sizes else np.zeros(0)
 
@@ -299,8 +299,6 @@ class SensorNoise:
                 spread[at : at + half.size] = 10.0 * spread[at : at + half.size] + np.abs(half)
                 begin.append(half)
             else:
-                at = sum(b.size for b in begin)
-                spread[at : at + size] *= FRESH if part.kind == "drift" else 1.0
                 begin.append(np.zeros(size))
         return np.concatenate([x0, *begin]), np.concatenate([sigma, spread])
 

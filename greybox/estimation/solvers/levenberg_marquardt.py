@@ -55,7 +55,8 @@ class LevenbergMarquardt:
         evaluations = 1
         if not value.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
-        fall = np.where(is_level(problem), FALL, -np.inf)
+        level = is_level(problem)
+        fall = np.where(level, FALL, -np.inf)
         damping = self.initial_damping if self.damped else 0.0
         decrement = np.inf
         code = Code.MAX_ITERATIONS
@@ -74,7 +75,7 @@ class LevenbergMarquardt:
                 moved = False
                 for _ in range(30):
                     taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
-                    new = np.clip(moved_by(problem, x, taken), lower, upper)
+                    new = np.clip(moved_by(x, taken, level), lower, upper)
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
                     trial = problem.evaluate(new)
                     evaluations += 1
@@ -85,19 +86,15 @@ class LevenbergMarquardt:
                             damping = damping / 10 if damping > 1e-12 else 0.0
                         elif ratio < POOR:
                             damping = max(4 * damping, 1e-6)
-                            back = past_the_floor(x, new, g, trial)
-                            if back is not None:
-                                nearer = problem.evaluate(back)
-                                evaluations += 1
-                                if nearer.valid and nearer.cost < trial.cost:
-                                    new, trial = back, nearer
+                            new, trial, more = stepped_back(problem, x, g, new, trial)
+                            evaluations += more
                         x, value = new, trial
                         break
                     if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(abs(value.cost), 1.0):
                         break
                     # In a curved valley damping stalls; a part of the same step often gains most of it.
                     for share in SHARES:
-                        part = np.clip(moved_by(problem, x, share * taken), lower, upper)
+                        part = np.clip(moved_by(x, share * taken, level), lower, upper)
                         gain = value.cost - problem.evaluate(part, 0).cost
                         evaluations += 1
                         if gain > 0.1 * share * float(-(g @ taken)) > 0:
@@ -121,13 +118,19 @@ class LevenbergMarquardt:
         return x, status
 
 
-def past_the_floor(x: FloatArray, new: FloatArray, gradient: FloatArray, there: Value) -> FloatArray | None:
-    """The point between x (n,), where the cost has this gradient (n,), and `new`, which has the value `there`, at which its
-    slope vanishes by the secant; None where the step did not pass the floor of the valley. The next step would come back."""
-    if there.gradient is None:
-        return None
+def stepped_back(
+    problem: Problem, x: FloatArray, gradient: FloatArray, new: FloatArray, there: Value
+) -> tuple[FloatArray, Value, int]:  # fmt: skip
+    """(point, its value, evaluations): on the way from x (n,), where the cost has this gradient (n,), to `new`, which has
+    the value `there`, the point at which the slope vanishes by the secant, if that is better; `new` where the step did not
+    pass the floor of the valley. The next step would come back."""
+    assert there.gradient is not None
     before, after = float(gradient @ (new - x)), float(there.gradient @ (new - x))
-    return x + before / (before - after) * (new - x) if before < 0 < after else None
+    if not before < 0 < after:
+        return new, there, 0
+    back = x + before / (before - after) * (new - x)
+    nearer = problem.evaluate(back)
+    return (back, nearer, 1) if nearer.valid and nearer.cost < there.cost else (new, there, 1)
 
 
 def is_level(problem: Problem) -> BoolArray:
@@ -135,14 +138,13 @@ def is_level(problem: Problem) -> BoolArray:
     return np.array([u.kind == "noise" for u in problem.unknowns], dtype=bool)
 
 
-def moved_by(problem: Problem, x: FloatArray, step: FloatArray) -> FloatArray:
+def moved_by(x: FloatArray, step: FloatArray, level: BoolArray) -> FloatArray:
     """x (n,) moved by a step (n,), the same to first order, in which the variances of noise, not the logarithms of its
-    levels, are linear; steps of levels are above -1/2.
+    levels (where `level` (n,) is true), are linear; steps of levels are above -1/2.
 
     A single level that is too small then needs one step of Fisher scoring, where in its logarithm a step overshoots; one
     that is too large falls as fast as the steps are allowed to, not by a half in the logarithm.
     """
-    level = is_level(problem)
     return x + np.where(level, 0.5 * np.log1p(2.0 * np.where(level, step, 0.0)), step)
 
 
