@@ -19,7 +19,8 @@ from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
-from greybox.estimation.gain import Riccati, linearisation_at, lost_of, stationary
+from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
@@ -94,6 +95,9 @@ def widened(
     for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):
         assert block.jacobian is not None
         assert block.covariance_slope is not None
+        # The larger model may look further back at commands: its patterns are more, of lost rows long before.
+        own_pattern = runner.records[i].pattern
+        alike = [int(np.bincount(own_pattern[block.pattern == g]).argmax()) for g in range(len(block.covariance_slope))]
         there = [j for j, c in enumerate(columns) if c[i] is not None]
         mine = [c[i] for c in columns if c[i] is not None]
         blocks.append(
@@ -101,7 +105,7 @@ def widened(
                 block,
                 jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for c in mine if c)], axis=2),
                 covariance_slope=np.concatenate(
-                    [block.covariance_slope, *(c.covariance[:, None] for c in mine if c)], axis=1
+                    [block.covariance_slope, *(c.covariance[alike][:, None] for c in mine if c)], axis=1
                 ),
                 columns=np.concatenate([block.columns, small.n + np.array(there, dtype=np.intp)]),
             )
@@ -134,7 +138,7 @@ class _Runner:
         elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
         self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
         self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
-        self.lost = lost_of(self.records, large, self.reference, self.window, small.dt)
+        self.lost = lost_commands(self.records, large, (), self.reference, elsewhere)
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
@@ -160,7 +164,8 @@ class _Runner:
     def riccati(self, p: FloatArray) -> Riccati:
         """Stationary filter at the parameters p."""
         values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
-        return stationary(values, self.q, self.r, self.weak, lost=self.lost)
+        lost = None if self.lost is None else self.lost.at(self.reference, self.window, p, self.small.dt)
+        return stationary(values, self.q, self.r, self.weak, lost=lost)
 
     def run(self, i: int, p: FloatArray, riccati: Riccati) -> _Column:
         """Innovations of record i and their covariances."""

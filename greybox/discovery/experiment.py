@@ -130,9 +130,10 @@ def _level(problem: Any) -> float:
     """What the cost is where every innovation is zero."""
     quiet = 0.0
     for block in problem.predictor.blocks(problem, problem.start, False):
-        for g, there in enumerate(block.record.patterns != 0):
-            count = int((block.pattern == g).sum())
-            if count and there.any():
+        for g in range(len(block.covariance)):
+            rows = np.flatnonzero(block.pattern == g)
+            count, there = rows.size, block.mask[rows[:1]].any(axis=0)
+            if there.any():
                 _, logdet = np.linalg.slogdet(2 * np.pi * block.covariance[g][np.ix_(there, there)])
                 quiet += 0.5 * count * float(logdet)
     return quiet

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from greybox.data import Segment
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, GainTable, engine_for
-from greybox.estimation.gain import Linearisation, Riccati, lost_command, stationary
+from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.lost_commands import LostCommands
 from greybox.estimation.record import Record, make_record
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -61,7 +62,9 @@ class Filter:
         self.linear = at_reference(model)
         self.riccati: Riccati = stationary(
             self.linear, model.process_noise**2, model.sensor_noise**2, model.weak**2,
-            lost=lost_command(model.dynamics, model.reference_state, _reference_window(model), model.sample_time),
+            lost=LostCommands(model.dynamics, ()).at(
+                model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
+            ),
         )  # fmt: skip
 
     def run(self, segment: Segment, p: FloatArray | None = None, x0: FloatArray | None = None) -> Filtered:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,7 +26,8 @@ import numpy.typing as npt
 
 from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
-from greybox.estimation.record import UNSURE, Record
+from greybox.estimation.lost_commands import Pushes
+from greybox.estimation.record import REACH, lost_bits
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -99,43 +99,6 @@ class Linearisation:
         return tuple(out)
 
 
-def lost_command(dynamics: Dynamics, x: FloatArray, window: FloatArray, dt: float) -> FloatArray:
-    """(n_d, n_d) covariance of the next state where the present command is not known, at the nominal parameters.
-
-    It does not depend on what is fitted: the uncertainty is the log's.
-    """
-    with CASADI:
-        try:
-            push = _push(dynamics)  # type: ignore[arg-type]
-        except TypeError:  # a model that cannot be hashed
-            push = _push.__wrapped__(dynamics)
-        b = push(x, window, [d.nominal for d in dynamics.parameters], dt).full()
-    sigma = LOST * np.abs(window[:, dynamics.window[0]])
-    # The voltage is slow: the row before has it.
-    sigma[[n == "vbat" for n in dynamics.inputs.names]] = 0.0
-    return np.asarray((b * sigma**2) @ b.T)
-
-
-def lost_of(
-    records: Iterable[Record], dynamics: Dynamics, x: FloatArray, window: FloatArray, dt: float
-) -> FloatArray | None:
-    """`lost_command` where a record has lost rows, else None."""
-    if not any((r.patterns == UNSURE).any() for r in records):
-        return None
-    return lost_command(dynamics, x, window, dt)
-
-
-@functools.lru_cache(maxsize=64)
-def _push(dynamics: Dynamics) -> Any:
-    """Derivative of the next error state in the present command, as a function of (x, window, p, dt)."""
-    s = symbols(dynamics)
-    x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
-    after = dynamics.step(0, x, u, p, w, dt)
-    _, out = chart_jacobians(dynamics, x, after)
-    b = out @ ca.jacobian(after, u[:, dynamics.window[0]])
-    return ca.Function("push", [x, u, p, dt], [ca.densify(ca.substitute(b, w, ca.DM.zeros(len(dynamics.noises))))])
-
-
 @functools.lru_cache(maxsize=64)
 def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> Linearisation:
     return Linearisation(dynamics, active, fixed)
@@ -153,15 +116,21 @@ def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray,
         return Linearisation(dynamics, tuple(active), fixed)
 
 
-LOST = 0.04
-"""Standard deviation of a lost command about the one before, relative to the mean command."""
+@dataclass(frozen=True, kw_only=True)
+class _Arrival:
+    """What a lost command adds to A P C' + G Q D' and to S at one sample, and the slopes of that."""
+
+    N: FloatArray
+    S: FloatArray
+    dN: FloatArray | float = 0.0
+    dS: FloatArray | float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Riccati:
     """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need.
 
-    `lost` (n_d, n_d) is what a lost command adds to P for the next sample; `pieces` are A, C and, with slopes, dA, dC.
+    `lost`: what lost commands add to the samples after them; `pieces` are A, C and, with slopes, dA, dC.
     """
 
     P: FloatArray
@@ -170,46 +139,91 @@ class Riccati:
     dP: FloatArray | None = None  # (n_s, n_d, n_d)
     dN: FloatArray | None = None
     dS: FloatArray | None = None
-    lost: FloatArray | None = None
+    lost: Pushes | None = None
     pieces: tuple[FloatArray, ...] = ()
 
+    @property
+    def _felt(self) -> int:
+        """Bits of the lost rows of which something arrives."""
+        return 0 if self.lost is None else self.lost.felt & ((1 << REACH) - 1)
+
+    def distinct(self, patterns: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+        """(patterns whose gains differ, which of them each of `patterns` is): of most lost commands nothing arrives at most
+        of the samples after them."""
+        missing = patterns == 0
+        kept = lost_bits(patterns) & self._felt
+        few, which = np.unique(np.where(missing, 0.0, 1.0 + kept), axis=0, return_inverse=True)
+        return few, which.ravel()
+
     @cached_property
-    def _after_lost(self) -> Riccati:
+    def _arrivals(self) -> list[_Arrival]:
+        """What one lost command adds at each sample after it that it reaches, see `greybox.estimation.lost_commands`."""
+        assert self.lost is not None
         a, c, *slopes = self.pieces
-        w: FloatArray = np.zeros_like(self.P) if self.lost is None else self.lost
-        usual = Riccati(P=self.P + w, N=self.N + a @ w @ c.T, S=self.S + c @ w @ c.T)
-        if not slopes or self.dN is None or self.dS is None:
-            return usual
-        da, dc = slopes
-        side = dc @ w @ c.T
-        return replace(
-            usual,
-            dP=self.dP,
-            dN=self.dN + da @ (w @ c.T) + (a @ w) @ dc.transpose(0, 2, 1),
-            dS=self.dS + side + side.transpose(0, 2, 1),
-        )
+        b, h = self.lost.B, self.lost.H
+        sloped = bool(slopes) and self.dS is not None
+        x, made = b[0], list[_Arrival]()
+        dx = db = dh = np.zeros((0, 1, *x.shape))
+        if sloped:
+            da, dc = slopes
+            db, dh = (_extend(v, len(da)) for v in (self.lost.dB, self.lost.dH))
+            dx = db[:, 0]
+        for i in range(self._felt.bit_length()):
+            e, f = c @ x + h[i + 1], a @ x + b[i + 1]
+            n_, s = f @ e.T, e @ e.T
+            if not sloped:
+                made.append(_Arrival(N=n_, S=s))
+                k, *_ = _gain(self.N + n_, self.S + s)
+                x = f - k @ e
+                continue
+            de, df = dc @ x + c @ dx + dh[:, i + 1], da @ x + a @ dx + db[:, i + 1]
+            side = de @ e.T
+            dn, ds = df @ e.T + f @ de.transpose(0, 2, 1), side + side.transpose(0, 2, 1)
+            made.append(_Arrival(N=n_, S=s, dN=dn, dS=ds))
+            assert self.dN is not None and self.dS is not None
+            k, dk = _gain(self.N + n_, self.S + s, self.dN + dn, self.dS + ds)
+            x, dx = f - k @ e, df - dk @ e - k @ de
+        return made
+
+    def _after_lost(self, bits: int) -> Riccati:
+        """The pieces at a sample that feels the lost commands of the rows in `bits` (bit i: the row before the last i)."""
+        new = [v for i, v in enumerate(self._arrivals) if bits >> i & 1]
+        n_, s = self.N + sum(v.N for v in new), self.S + sum(v.S for v in new)
+        if self.dN is None or self.dS is None:
+            return replace(self, N=n_, S=s, lost=None)
+        dn, ds = self.dN + sum(v.dN for v in new), self.dS + sum(v.dS for v in new)
+        return replace(self, N=n_, S=s, dN=dn, dS=ds, lost=None)
 
     def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
-        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured; `UNSURE` follows a lost command.
+        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured, as in `Record.patterns`.
 
         K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both keep their size.
         """
         m = np.asarray(there) != 0
-        if self.lost is not None and (np.asarray(there) == UNSURE).any():
-            return self._after_lost.gain(m)
+        bits = int(lost_bits(np.asarray(there)).max(initial=0)) & self._felt
+        if bits:
+            return self._after_lost(bits).gain(m)
         ne = m.size
         s = np.eye(ne)
         s[np.ix_(m, m)] = self.S[np.ix_(m, m)]
         k = np.zeros_like(self.N)
-        inverse = np.linalg.inv(s[np.ix_(m, m)])
-        k[:, m] = self.N[:, m] @ inverse
         if self.dN is None or self.dS is None:
+            k[:, m] = _gain(self.N[:, m], s[np.ix_(m, m)])[0]
             return k, s, None, None
         ds = np.zeros_like(self.dS)
         ds[:, m[:, None] & m[None, :]] = self.dS[:, m[:, None] & m[None, :]]
         dk = np.zeros_like(self.dN)
-        dk[:, :, m] = (self.dN[:, :, m] - k[:, m] @ ds[:, m][:, :, m]) @ inverse
+        k[:, m], dk[:, :, m] = _gain(self.N[:, m], s[np.ix_(m, m)], self.dN[:, :, m], ds[:, m][:, :, m])
         return k, s, dk, ds
+
+
+def _gain(
+    n: FloatArray, s: FloatArray, dn: FloatArray | float = 0.0, ds: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """K = N S^-1 and its slopes."""
+    inverse = np.linalg.inv(s)
+    k = n @ inverse
+    return k, (dn - k @ ds) @ inverse if np.ndim(ds) else np.zeros(0)
 
 
 def solve_riccati(
@@ -268,12 +282,12 @@ def stationary(
     slopes: tuple[FloatArray, ...] | None = None,
     dq: FloatArray | None = None,
     dr: FloatArray | None = None,
-    lost: FloatArray | None = None,
+    lost: Pushes | None = None,
 ) -> Riccati:
     """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its derivatives.
 
     The first axis of all derivatives is the same list of parameters; slopes of model parameters may be shorter (the
-    remaining parameters are noise levels, which do not move A, G, C, D). `lost` (n_d, n_d): see `lost_command`.
+    remaining parameters are noise levels, which do not move A, G, C, D); those of `lost` too.
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
@@ -302,7 +316,8 @@ def stationary(
     return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=lost, pieces=(a, c, da, dc))
 
 
-def _extend(stack: FloatArray, n: int) -> FloatArray:
+def _extend(stack: FloatArray | None, n: int) -> FloatArray:
+    assert stack is not None
     if stack.shape[0] == n:
         return stack
     return np.concatenate([stack, np.zeros((n - stack.shape[0], *stack.shape[1:]))])

@@ -44,8 +44,10 @@ def _filter(
     state = _reference(problem)
     lin: Linearisation = state["linearisation"]
     x, window = state["reference"]
-    values = lin.values(x, window, problem.parameters_of(theta, None), problem.dt)
-    return stationary(values, process**2, sensor**2, state["weak"], lost=state["lost"]), values
+    p = problem.parameters_of(theta, None)
+    values = lin.values(x, window, p, problem.dt)
+    lost = None if state["lost"] is None else state["lost"].at(x, window, p, problem.dt)
+    return stationary(values, process**2, sensor**2, state["weak"], lost=lost), values
 
 
 def _pass(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
@@ -12,8 +13,8 @@ from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 
-UNSURE = 2.0
-"""In patterns: measured, but the command of the row before was lost."""
+REACH = 50
+"""Rows after a lost one that know of it: whole numbers in floating point have so many bits."""
 RARE = 0.1
 """Share of a record's rows up to which rows without any measurement count as lost."""
 
@@ -21,7 +22,7 @@ RARE = 0.1
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
     """Arrays of one segment. `patterns` (n_pat, n_e) lists which innovation components are there, `pattern` (n,) which:
-    0 missing, 1 there, `UNSURE` there, after a row that was lost with its command."""
+    0 missing, 1 there, 1 + bits there, after rows that were lost with their commands (see `lost_bits`)."""
 
     flight: str
     segment: Segment
@@ -74,7 +75,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) ->
     there = np.isfinite(y)
     at = {n: i for i, n in enumerate(dynamics.outputs.names)}
     mask = np.column_stack([there[:, [at[c] for c in cols]].all(axis=1) for cols in dynamics.innovation_columns])
-    kinds = np.where(mask & _after_lost(mask, u)[:, None], UNSURE, mask)
+    kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
     patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
     start = {n: segment.channels[n][:few] for n in segment.channels}
@@ -96,14 +97,22 @@ def _earlier(segment: Segment, names: tuple[str, ...]) -> FloatArray | None:
     return u if np.isfinite(u).all() else None
 
 
-def _after_lost(mask: BoolArray, u: FloatArray) -> BoolArray:
-    """(n,) rows that follow a lost one: nothing was measured there, and its command is only that of the row before."""
+def lost_bits(patterns: FloatArray) -> npt.NDArray[np.int64]:
+    """Which rows before were lost with their commands: bit 0 the last one, bit i the one i rows earlier."""
+    return np.maximum(patterns.astype(np.int64) - 1, 0)
+
+
+def _after_lost(mask: BoolArray, u: FloatArray, past: int) -> FloatArray:
+    """(n,) bits of the rows before every row that were lost, as far back as a step looks at commands: nothing was measured
+    there, and the command is only that of the row before."""
     lost = np.asarray(~mask.any(axis=1))
     lost[1:] &= (u[1:] == u[:-1]).all(axis=1)
     lost[0] = False
-    if lost.mean() > RARE:
-        return np.zeros_like(lost)
-    return np.concatenate([[False], lost[:-1]])
+    bits = np.zeros(lost.size)
+    if lost.mean() <= RARE:
+        for i in range(min(past + 1, REACH)):
+            bits[i + 1 :] += float(1 << i) * lost[: lost.size - 1 - i]
+    return bits
 
 
 def make_records(engine: Engine, dataset: Dataset) -> list[Record]:

@@ -1,4 +1,4 @@
-"""A row that the logger lost took its command with it: the sample after it is trusted more, and exactly so."""
+"""A row that the logger lost took its command along: the sample that this command reaches is trusted more, exactly so."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import pytest
 from greybox.data import dataset_from_arrays
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import fit
-from greybox.estimation.gain import LOST, lost_command, stationary
+from greybox.estimation.gain import stationary
+from greybox.estimation.lost_commands import LOST, LostCommands, Pushes
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
-from greybox.estimation.record import UNSURE, make_records
+from greybox.estimation.record import lost_bits, make_records
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
 from scenarios.excitation.injection import rich_excitation
@@ -40,18 +41,39 @@ def flight(tmp_path_factory):
     return vehicle, dataset_from_arrays(t, log), dataset_from_arrays(t, holed), gone
 
 
-def problem_of(vehicle, data):
-    model = build_model(vehicle, data.channels, (), sample_time=0.01)
-    return make_problem(model, data, predictor=Innovation(), criterion=Gaussian(), use_compiler=False)
+def problem_of(vehicle, data, effects=(), **choices):
+    model = build_model(vehicle, data.channels, effects, sample_time=0.01)
+    return make_problem(model, data, predictor=Innovation(), criterion=Gaussian(), use_compiler=False, **choices)
+
+
+def late_by_two_rows(whole, holed, gone):
+    """The flight with what is measured written two rows later than it was; rows stay lost with their commands."""
+    out = dict(holed.segments[0].channels)
+    for name, v in whole.segments[0].channels.items():
+        if name[0] != "u":
+            out[name] = np.where(gone, np.nan, np.concatenate([np.full(2, v[0]), v[:-2]]))
+    return dataset_from_arrays(whole.segments[0].t, out)
 
 
 def test_only_rows_after_a_lost_one_are_marked(flight):
     vehicle, whole, holed, gone = flight
     (record,) = problem_of(vehicle, holed).records
-    marked = (record.patterns == UNSURE).any(axis=1)[record.pattern]
+    marked = lost_bits(record.patterns).any(axis=1)[record.pattern]
     assert np.array_equal(np.flatnonzero(marked), np.flatnonzero(gone) + 1)
     (record,) = problem_of(vehicle, whole).records
-    assert not (record.patterns == UNSURE).any()
+    assert not lost_bits(record.patterns).any()
+
+
+def test_a_model_with_a_delay_remembers_how_long_ago_a_row_was_lost(flight):
+    vehicle, _, holed, gone = flight
+    problem = problem_of(vehicle, holed, ("command_delay",))
+    (record,) = problem.records
+    bits = lost_bits(record.patterns).max(axis=1)[record.pattern]
+    for i in range(problem.dynamics.window[0] + 1):
+        since = np.flatnonzero(gone) + 1 + i
+        since = since[(since < gone.size)]
+        since = since[~gone[since]]
+        assert np.array_equal(np.flatnonzero(bits >> i & 1), since)
 
 
 def test_a_slow_sensor_is_not_a_lost_row(flight):
@@ -65,56 +87,102 @@ def test_a_slow_sensor_is_not_a_lost_row(flight):
             slow[name][1::2] = slow[name][::2]
     problem = problem_of(vehicle, dataset_from_arrays(segment.t, slow))
     assert not any(
-        (r.patterns == UNSURE).any() for r in make_records(problem.engine, dataset_from_arrays(segment.t, slow))
+        lost_bits(r.patterns).any() for r in make_records(problem.engine, dataset_from_arrays(segment.t, slow))
     )
 
 
-def test_the_gain_is_that_of_a_filter_with_the_noise_of_the_lost_command():
+def test_the_gain_is_best_for_the_state_after_the_sample():
+    """With the lost command as part of the state, of which only the rest is corrected."""
     rng = np.random.default_rng(1)
     a, g, c, d = np.eye(2) * 0.9, rng.normal(size=(2, 1)), rng.normal(size=(3, 2)), rng.normal(size=(3, 1))
-    q, r, lost = np.array([0.3]), np.array([0.1, 0.2, 0.4]), np.diag([2.0, 3.0])
-    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=lost)
-    p = usual.P + lost
-    s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
-    k = (a @ p @ c.T + (g * q) @ d.T) @ np.linalg.inv(s)
-    gain, covariance, _, _ = usual.gain(np.array([UNSURE, UNSURE, UNSURE]))
-    assert gain == pytest.approx(k, rel=1e-10)
-    assert covariance == pytest.approx(s, rel=1e-10)
+    q, r = np.array([0.3]), np.array([0.1, 0.2, 0.4])
+    b, h = rng.normal(size=(3, 2, 4)), rng.normal(size=(3, 3, 4))
+    b[2], h[0], h[2] = 0.0, 0.0, 0.0
+    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=Pushes(B=b, H=h))
+    off = b[0]
+    for i in (0, 1):
+        big = np.block([[usual.P + off @ off.T, off], [off.T, np.eye(4)]])  # of the state and the command
+        see, go = np.column_stack([c, h[i + 1]]), np.column_stack([a, b[i + 1]])
+        s = see @ big @ see.T + (d * q) @ d.T + np.diag(r)
+        k = (go @ big @ see.T + (g * q) @ d.T) @ np.linalg.inv(s)
+        gain, covariance, _, _ = usual.gain(np.full(3, 1.0 + (1 << i)))
+        assert gain == pytest.approx(k, rel=1e-10)
+        assert covariance == pytest.approx(s, rel=1e-10)
+        off = (go - k @ see) @ np.vstack([off, np.eye(4)])
     assert usual.gain(np.ones(3))[1] == pytest.approx(usual.S)
+    both = usual.gain(np.full(3, 4.0))[1] - usual.S
+    assert both == pytest.approx(sum(usual.gain(np.full(3, v))[1] - usual.S for v in (2.0, 3.0)))
 
 
-def test_a_lost_command_moves_what_commands_move(flight):
+def test_gains_of_samples_that_nothing_reaches_are_the_usual_ones():
+    zero = np.zeros((4, 2, 1))
+    b = zero.copy()
+    b[1] = 1.0
+    usual = stationary(
+        (np.eye(2) * 0.9, np.eye(2), np.eye(2), np.zeros((2, 2))), np.ones(2), np.ones(2), np.full(2, 1e9),
+        lost=Pushes(B=b, H=zero),
+    )  # fmt: skip
+    patterns = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [0.0, 3.0], [5.0, 5.0], [7.0, 7.0]])
+    few, which = usual.distinct(patterns)
+    assert few[which].tolist() == [[0, 0], [1, 1], [1, 1], [3, 3], [0, 3], [1, 1], [3, 3]]
+    for m, i in zip(patterns, which, strict=True):
+        assert np.array_equal(usual.gain(m)[0], usual.gain(few[i])[0])
+
+
+@pytest.mark.parametrize(("delay", "rows"), [(0.0, [0]), (0.02, [2]), (0.015, [1, 2])])
+def test_a_lost_command_moves_what_commands_move_when_they_arrive(flight, delay, rows):
     vehicle, whole, _, _ = flight
-    problem = problem_of(vehicle, whole)
+    effects = ("command_delay",) if delay else ()
+    problem = problem_of(vehicle, whole, effects, values={"command_delay.d": delay} if delay else None)
     x, window = problem.state["reference"]
-    spread = np.sqrt(np.diag(lost_command(problem.dynamics, x, window, problem.dt)))
+    pushes = LostCommands(problem.dynamics, ()).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
     at = {n: i for i, n in enumerate(problem.dynamics.error_states.names)}
+    spread = np.sqrt((pushes.B**2).sum(axis=2))
     # Four independent commands, LOST of the mean command u each: rate = dt lever 2 c2 u LOST u sqrt(4) / J.
     u = problem.means["u1"]
     expected = problem.dt * 0.088 * 2 * 4.2 * u * LOST * u * 2 / 2.1e-3
-    assert spread[at["d_rate.x"]] == pytest.approx(expected, rel=0.05)
-    assert spread[at["d_velocity.x"]] < 0.05 * spread[at["d_velocity.z"]]
+    moved = spread[:, at["d_rate.x"]]
+    assert moved.sum() == pytest.approx(expected, rel=0.05)
+    assert np.flatnonzero(moved > 1e-6 * expected).tolist() == rows
+    i = rows[-1]
+    assert spread[i, at["d_velocity.x"]] < 0.05 * spread[i, at["d_velocity.z"]]
 
 
-def test_the_gradient_stays_exact(flight):
+@pytest.mark.parametrize("effects", [(), ("motor_lag", "command_delay", "pose_delay")])
+def test_the_gradient_stays_exact(flight, effects):
     vehicle, _, holed, _ = flight
-    problem = problem_of(vehicle, holed.split_by_time(at=1.5)[0])
-    assert any((r.patterns == UNSURE).any() for r in problem.records)
+    values = {"command_delay.d": 0.013, "motor_lag.tau": 0.03, "pose_delay.d": 0.012} if effects else None
+    problem = problem_of(vehicle, holed.split_by_time(at=1.5)[0], effects, values=values)
+    assert any(lost_bits(r.patterns).any() for r in problem.records)
     theta = problem.start
     value = problem.evaluate(theta)
+    checked = {
+        "inertia.xx", "thrust.c2", "noise.process.torque.y", "noise.process.force.z", "noise.sensor.q", *(values or ()),
+    }  # fmt: skip
     for i, u in enumerate(problem.unknowns):
-        if u.name not in (
-            "inertia.xx",
-            "thrust.c2",
-            "noise.process.torque.y",
-            "noise.process.force.z",
-            "noise.sensor.q",
-        ):
+        if u.name not in checked:
             continue
         step = np.zeros(problem.n)
         step[i] = 1e-5 * u.scale
         slope = (problem.evaluate(theta + step, 0).cost - problem.evaluate(theta - step, 0).cost) / (2 * step[i])
         assert abs(slope - value.gradient[i]) < 1e-4 * max(abs(slope), 1.0 / u.scale), u.name
+
+
+def test_late_commands_are_charged_to_the_sample_that_they_reach(flight):
+    """Charged to the row after the lost one, late commands made a lag of no length likelier than none."""
+    vehicle, whole, holed, gone = flight
+    late = late_by_two_rows(whole, holed, gone)
+    likelihood = []
+    for effects in (("command_delay",), ("command_delay", "motor_lag")):
+        model = build_model(vehicle, late.channels, effects, sample_time=0.01)
+        found = fit(model, late, initialisation="noise", values={"command_delay.d": 0.0195})
+        likelihood.append(found.loglik)
+        (block,) = found.problem.predictor.blocks(found.problem, found.theta, False)
+        arrival = np.flatnonzero(gone)[:-3] + 3
+        arrival = arrival[~gone[arrival]]
+        squares = np.array([block.e[k] @ np.linalg.solve(block.covariance[block.pattern[k]], block.e[k]) for k in arrival])
+        assert 0.5 < squares.mean() / block.e.shape[1] < 1.5
+    assert likelihood[1] - likelihood[0] < 2.0
 
 
 def test_lost_rows_do_not_pass_for_torque_noise(flight):

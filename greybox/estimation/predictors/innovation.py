@@ -18,7 +18,8 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Riccati, linearisation_at, lost_of, stationary
+from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
@@ -47,7 +48,7 @@ class Innovation:
         return {
             "linearisation": linearisation_at(d, problem.engine.built, x, elsewhere).select(problem.engine.columns),
             "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
-            "lost": lost_of(problem.records, d, x, np.repeat(u[:, None], past + 1 + future, axis=1), problem.dt),
+            "lost": lost_commands(problem.records, d, problem.engine.built, x, elsewhere),
             "weak": weak**2,
         }
 
@@ -62,11 +63,13 @@ class Innovation:
         process, sensor = problem.noise_levels(theta)
         q, r = process**2, sensor**2
         if not slopes:
-            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=lost)
+            pushes = None if lost is None else lost.at(x, window, p, problem.dt)
+            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=pushes)
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain.
         shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
         dvalues = tuple(v * shared[:, None, None] for v in dvalues)
+        pushes = None if lost is None else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
         na, nw, ne = len(problem.engine.active), q.size, r.size
         free = [problem.place(n) is not None for n in noise_names(problem)]
         dq = np.zeros((na + nw + ne, nw))
@@ -74,7 +77,7 @@ class Innovation:
         dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
         dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
         keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
-        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], lost)
+        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], pushes)
 
     def tables(
         self, riccati: Riccati, patterns: FloatArray, extra: int
@@ -104,7 +107,9 @@ class Innovation:
 
         def pieces(i: int) -> Iterator[Block]:
             record = problem.records[i]
-            gains, covariance, slope = self.tables(riccati, record.patterns, nd)
+            patterns, which = riccati.distinct(record.patterns)
+            pattern = which[record.pattern].astype(np.int32)
+            gains, covariance, slope = self.tables(riccati, patterns, nd)
             x = problem.initial_state(theta, i) if free_start else record.x0
             s: FloatArray | None = None
             if jacobian:
@@ -121,7 +126,7 @@ class Innovation:
                 rows = slice(begin, min(begin + length, record.n))
                 run = engine.run(
                     x0=x, inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
-                    outputs=record.outputs[rows], mask=record.mask[rows], pattern=record.pattern[rows], gains=gains, p=p,
+                    outputs=record.outputs[rows], mask=record.mask[rows], pattern=pattern[rows], gains=gains, p=p,
                     dt=record.dt, s0=s,
                     want=frozenset({"innovations", "sensitivity"}) if jacobian else frozenset({"innovations"}),
                 )  # fmt: skip
@@ -135,7 +140,7 @@ class Innovation:
                 yield Block(
                     record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
                     columns=np.concatenate(columns), covariance=covariance, covariance_slope=slope,
-                    pattern=record.pattern[rows],
+                    pattern=pattern[rows],
                 )  # fmt: skip
 
         count = len(problem.records)

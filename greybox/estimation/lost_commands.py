@@ -1,0 +1,133 @@
+"""Lost commands: a row that the logger lost takes its command along, and what that command did arrives unforeseen.
+
+The command of such a row is taken as the one before, give or take `LOST` of the mean command: an error du of covariance
+Sigma. It arrives when commands arrive, after whatever delays the model has. With B_i = dF/du(k) and H_i = dh/du(k) seen
+from row k + i of the lost row k, the state i rows after the next is off by X_i du, X_0 = B_0, and its sample by E_i du:
+
+    E_i = C X_i + H_(i+1),   F_i = A X_i + B_(i+1),   X_(i+1) = F_i - K_i E_i
+    S_i = S + E_i Sigma E_i',   K_i = (A P C' + G Q D' + F_i Sigma E_i') S_i^-1
+
+the gain that is best for the state after it. (With an error that stays this is Friedland's bias, IEEE Trans. Automatic
+Control 14(4), 1969; there the command would be estimated as well, here each sample only corrects the state.) What X is left
+when all of the command has arrived is not followed, nor is the noise that K_i lets in besides.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from greybox.estimation.engine import chart_jacobians, symbols
+from greybox.estimation.record import Record
+from greybox.model.dynamics import Dynamics
+from greybox.symbolic import CASADI, FloatArray
+
+LOST = 0.04
+"""Standard deviation of a lost command about the one before, relative to the mean command."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushes:
+    """B (m, n_d, n_u) and H (m, n_e, n_u) per standard deviation of every command, for i = 0 .. m-1 rows after the lost
+    one, and, with slopes, their derivatives (n_s, m, ...). The last of each is zero."""
+
+    B: FloatArray
+    H: FloatArray
+    dB: FloatArray | None = None
+    dH: FloatArray | None = None
+
+    @functools.cached_property
+    def felt(self) -> int:
+        """Bits of the rows after a lost one (bit i: i rows after the next) at which anything of it arrives."""
+        there = [self.B[i].any() or self.H[i + 1].any() for i in range(len(self.B) - 1)]
+        return sum(1 << i for i, t in enumerate(there) if t)
+
+
+class LostCommands:
+    """Derivatives of step and sample in every command that they look at, at one state, as functions of the parameters.
+
+    `fixed` as in `greybox.estimation.gain.Linearisation`.
+    """
+
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...] = ()) -> None:
+        with CASADI:
+            self._build(dynamics, active, fixed)
+
+    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> None:
+        s = symbols(dynamics)
+        x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
+        names = [q.name for q in dynamics.parameters]
+        chosen = [names.index(a) for a in active]
+        after = dynamics.step(0, x, u, p, w, dt)
+        y_hat = dynamics.output(0, x, u, p, w, dt)
+        _, out = chart_jacobians(dynamics, x, after)
+        y = ca.SX.sym("y", y_hat.numel())
+        e = dynamics.innovation(y, y_hat, x)
+        parts = [out @ ca.jacobian(after, ca.vec(u)), -ca.jacobian(e, ca.vec(u))]
+        point = ca.vertcat(*(x[i] if v is None else v for i, v in enumerate(fixed))) if fixed else x
+        quiet = ca.DM.zeros(len(dynamics.noises))
+        parts = ca.substitute(ca.substitute(parts, [y], [y_hat]), [x, w], [point, quiet])
+        parts = [ca.sparsify(v) for v in parts]
+        self._shapes = [v.shape for v in parts]
+        self._places = [tuple(np.array(i, dtype=np.intp) for i in v.sparsity().get_triplet()) for v in parts]
+        stacked = ca.vertcat(*(v.nz[:] for v in parts))
+        slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
+        self._function = ca.Function("pushes", [x, u, p, dt], [stacked, ca.densify(slopes)])
+        self._value_only = ca.Function("pushes_value", [x, u, p, dt], [stacked])
+        self._now = dynamics.window[0]
+        self._slow = [n == "vbat" for n in dynamics.inputs.names]
+
+    def at(
+        self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float,
+        columns: npt.NDArray[np.int_] | None = None, scale: FloatArray | float = 1.0,
+    ) -> Pushes:  # fmt: skip
+        """Pushes at the state x, the command window (n_u, past + 1 + future) and the parameters p; with `columns` also
+        slopes in those of the active parameters, each times `scale`."""
+        sigma = LOST * np.abs(window[:, self._now])
+        sigma[self._slow] = 0.0  # the voltage is slow: the row before has it
+        with CASADI:
+            if columns is None:
+                value, slope = self._value_only(x, window, p, dt).full(), None
+            else:
+                value, slope = (v.full() for v in self._function(x, window, p, dt))
+        b, h = self._unpack(value, sigma)
+        if slope is None or columns is None:
+            return Pushes(B=b[0], H=h[0])
+        db, dh = self._unpack(slope[:, columns] * scale, sigma)
+        return Pushes(B=b[0], H=h[0], dB=db, dH=dh)
+
+    def _unpack(self, columns: FloatArray, sigma: FloatArray) -> list[FloatArray]:
+        """[B, H] of every column, (columns, past + 2, n, n_u), the latest command first."""
+        made, at = [], 0
+        for (rows, width), (row, column) in zip(self._shapes, self._places, strict=True):
+            dense = np.zeros((columns.shape[1], rows, width))
+            dense[:, row, column] = columns[at : at + row.size].T
+            at += row.size
+            by_row = dense.reshape(columns.shape[1], rows, width // sigma.size, sigma.size) * sigma
+            late = by_row[:, :, self._now :: -1].transpose(0, 2, 1, 3)
+            made.append(np.concatenate([late, np.zeros_like(late[:, :1])], axis=1))
+        return made
+
+
+@functools.lru_cache(maxsize=64)
+def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> LostCommands:
+    return LostCommands(dynamics, active, fixed)
+
+
+def lost_commands(
+    records: Iterable[Record], dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray
+) -> LostCommands | None:
+    """What lost commands do, None where no record has lost rows; built once per process (`other` as in
+    `greybox.estimation.gain.linearisation_at`)."""
+    if not any((r.patterns > 1).any() for r in records):
+        return None
+    fixed = tuple(float(a) if a == b else None for a, b in zip(x, other, strict=True))
+    try:
+        return _cached(dynamics, tuple(active), fixed)  # type: ignore[arg-type]
+    except TypeError:  # a model that cannot be hashed
+        return LostCommands(dynamics, tuple(active), fixed)
