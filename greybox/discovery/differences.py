@@ -20,7 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.gain import Riccati, linearisation_at, stationary
-from greybox.estimation.lost_commands import lost_commands
+from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
@@ -138,7 +138,7 @@ class _Runner:
         elsewhere = large.reference({k: v + 1.0 for k, v in small.means.items()})
         self.linearisation = linearisation_at(large, (), self.reference, elsewhere)
         self.weak = (np.max([r.x0_sigma for r in self.records], axis=0) * 100.0) ** 2
-        self.lost = lost_commands(self.records, large, (), self.reference, elsewhere)
+        self.lost = lost_commands(large, (), self.reference, elsewhere) if any_lost(self.records) else None
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]

@@ -11,7 +11,7 @@ from greybox.data import Segment
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, GainTable, engine_for
 from greybox.estimation.gain import Linearisation, Riccati, stationary
-from greybox.estimation.lost_commands import LostCommands
+from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.record import Record, make_record
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -62,7 +62,7 @@ class Filter:
         self.linear = at_reference(model)
         self.riccati: Riccati = stationary(
             self.linear, model.process_noise**2, model.sensor_noise**2, model.weak**2,
-            lost=LostCommands(model.dynamics, ()).at(
+            lost=lost_commands(model.dynamics).at(
                 model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
             ),
         )  # fmt: skip

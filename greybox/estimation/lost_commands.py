@@ -120,14 +120,17 @@ def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | No
 
 
 def lost_commands(
-    records: Iterable[Record], dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray
-) -> LostCommands | None:
-    """What lost commands do, None where no record has lost rows; built once per process (`other` as in
+    dynamics: Dynamics, active: tuple[str, ...] = (), x: Iterable[float] = (), other: Iterable[float] = ()
+) -> LostCommands:
+    """`LostCommands`, built once per process; for the state `x` where another such state is known (`other` as in
     `greybox.estimation.gain.linearisation_at`)."""
-    if not any((r.patterns > 1).any() for r in records):
-        return None
     fixed = tuple(float(a) if a == b else None for a, b in zip(x, other, strict=True))
     try:
         return _cached(dynamics, tuple(active), fixed)  # type: ignore[arg-type]
     except TypeError:  # a model that cannot be hashed
         return LostCommands(dynamics, tuple(active), fixed)
+
+
+def any_lost(records: Iterable[Record]) -> bool:
+    """Whether a record has rows that were lost with their commands."""
+    return any((r.patterns > 1).any() for r in records)

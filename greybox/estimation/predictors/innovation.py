@@ -19,7 +19,7 @@ import numpy as np
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
 from greybox.estimation.gain import Riccati, linearisation_at, stationary
-from greybox.estimation.lost_commands import lost_commands
+from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
@@ -48,7 +48,7 @@ class Innovation:
         return {
             "linearisation": linearisation_at(d, problem.engine.built, x, elsewhere).select(problem.engine.columns),
             "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
-            "lost": lost_commands(problem.records, d, problem.engine.built, x, elsewhere),
+            "lost": lost_commands(d, problem.engine.built, x, elsewhere) if any_lost(problem.records) else None,
             "weak": weak**2,
         }
 
