@@ -1,6 +1,7 @@
 """What discover says about effects that its catalogue does not have, and about known families in another form.
 
     python -m scenarios.studies.discovery_outside [--seeds 1001 1002] [--only magnet,wall] [--out F.jsonl] [--report]
+    python -m scenarios.studies.discovery_outside --learn --out F.jsonl
 
 Five of the effects were invented by somebody who did not know the search (`UNSEEN`).
 
@@ -14,6 +15,8 @@ case one line in the file as soon as it is done, so that a study that was stoppe
     closed     share of the gap 0.5 s ahead on the test flight that names and proposals closed together, in the group of
                channels that the effect moves most: that whose error is largest against the one of the same vehicle
                without the effect, which is the least that a model can reach
+    learned    the same share for the names and, instead of written laws, a Gaussian process that learned what they leave
+               (`greybox learn`, extra gp), for every row of the file that has none yet; its rows go to F.learned.jsonl
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
-from greybox.discovery.gap import NOTHING
+from greybox.discovery.gap import NOTHING, squares
 from greybox.discovery.nested import Nest, led
 from greybox.discovery.result import Discovery
 from greybox.discovery.veto import HeldOut
@@ -103,6 +106,23 @@ def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
     return ahead(HeldOut(test), nest.refit(()))
 
 
+def learned(row: Mapping[str, Any], seconds: float = 16.0) -> dict[str, Any]:
+    """Group -> RMSE half a second ahead on the test flight of the row's names with what was learned of the rest."""
+    from greybox.residual.learn import learn
+
+    case, first = CASES[row["case"]], 1000 * row["seed"]
+    plant = x250([case.hidden])
+    train = led(flights(plant, (first + 1, first + 2), seconds, "train"))
+    nest = Nest(candidates=candidates(vehicle_of(x250()), train.channels, sample_time=0.01), data=train)
+    result = learn(nest.refit(row["names"]).fit.model, train, seed=row["seed"])
+    errors = squares(result.model, flights(plant, (first + 101,), seconds, "test"))[0]
+    rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
+    return {
+        "case": row["case"], "seed": row["seed"], "rmse": rmse, "chosen": None if result.null else result.chosen,
+        "seconds": result.seconds,
+    }  # fmt: skip
+
+
 def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tuple[str, float] | None:
     """(group that the effect moves most, share of its excess over the `least` error that was closed), from gap rows."""
     rows = [r for r in gap if r["closed"] is not None and r["before"] ** 2 > NOTHING * least.get(r["group"], np.inf) ** 2]
@@ -112,6 +132,15 @@ def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tu
     share = max(row["closed"], row.get("with_proposals") or row["closed"])
     gained = share * (row["before"] ** 2 - (row["floor"] or 0.0) ** 2)
     return row["group"], gained / (row["before"] ** 2 - least[row["group"]] ** 2)
+
+
+def by_learning(row: Mapping[str, Any], rmse: Mapping[str, float], least: Mapping[str, float]) -> float | None:
+    """`affected` for errors with a learned part."""
+    group = (affected(row["gap"], least) or (None,))[0]
+    if group is None:
+        return None
+    before = next(r["before"] for r in row["gap"] if r["group"] == group)
+    return float((before**2 - rmse[group] ** 2) / (before**2 - least[group] ** 2))
 
 
 def judge(found: Discovery, case: Case) -> dict[str, Any]:
@@ -143,10 +172,12 @@ def run(name: str, seed: int, seconds: float = 16.0) -> dict[str, Any]:
     return {"case": name, "seed": seed, **judge(found, case)}
 
 
-def report(rows: Sequence[dict[str, Any]]) -> str:
-    """Rates per case and over all."""
+def report(rows: Sequence[dict[str, Any]], taught: Sequence[dict[str, Any]] = ()) -> str:
+    """Rates per case and over all; `taught`: what `learned` gave."""
+    rmse = {(t["case"], t["seed"]): t["rmse"] for t in taught}
     lines = [
         f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} {'closed: median, worst':>22s}"
+        f"{'learned instead':>17s} {'the better':>15s}"
     ]
     for name in [*CASES, "outside", "relatives", "unseen", "all"]:
         own = [
@@ -160,13 +191,27 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         ]
         if not own:
             continue
-        found = [affected(r["gap"], least(r["seed"])) for r in own]
-        shares = [f[1] for f in found if f is not None] or [float("nan")]
+        named, other, best = [], [], []
+        for r in own:
+            found = affected(r["gap"], least(r["seed"]))
+            if found is None:
+                continue
+            named.append(found[1])
+            if (r["case"], r["seed"]) in rmse:
+                share = by_learning(r, rmse[r["case"], r["seed"]], least(r["seed"]))
+                assert share is not None
+                other.append(share)
+                best.append(max(share, found[1]))
         lines.append(
             f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} {sum(bool(r['flagged']) for r in own):8d} "
-            f"{sum(r['right_axis'] for r in own):10d} {median(shares):15.3f}, {min(shares):5.3f}"
+            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(other):>17s} {_spread(best):>15s}"
         )
     return "\n".join(lines)
+
+
+def _spread(shares: Sequence[float]) -> str:
+    """Median and worst."""
+    return f"{median(shares):.3f}, {min(shares):5.3f}" if shares else "-"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -176,12 +221,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", default=None, help="comma-separated cases")
     parser.add_argument("--out", default="discovery_outside.jsonl")
     parser.add_argument("--report", action="store_true", help="only print the table of the file")
+    parser.add_argument("--learn", action="store_true", help="learn what the names of the file's rows leave (extra gp)")
     options = parser.parse_args(arguments)
     path = Path(options.out)
     rows = read_rows(path)
     done = {(r["case"], r["seed"]) for r in rows}
+    other = path.with_suffix(".learned.jsonl")
+    taught = read_rows(other)
+    for row in rows if options.learn else ():
+        if any((t["case"], t["seed"]) == (row["case"], row["seed"]) for t in taught):
+            continue
+        taught.append(learned(row))
+        append_row(other, taught[-1])
+        share = by_learning(row, taught[-1]["rmse"], least(row["seed"]))
+        print(f"{row['seed']:5d} {row['case']:18s} learned: {share if share is None else round(share, 3)}", flush=True)
     wanted = options.only.split(",") if options.only else list(CASES)
-    for seed in () if options.report else options.seeds:
+    for seed in () if options.report or options.learn else options.seeds:
         for name in wanted:
             if (name, seed) in done:
                 continue
@@ -194,7 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"({row['seconds']:.0f} s)",
                 flush=True,
             )
-    print(report(rows))
+    print(report(rows, taught))
 
 
 if __name__ == "__main__":

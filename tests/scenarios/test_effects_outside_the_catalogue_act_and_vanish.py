@@ -10,7 +10,7 @@ from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
 from scenarios.plants.presets import controller_for, x250
 from scenarios.studies import discovery_outside
-from scenarios.studies.discovery_outside import CASES, affected, flights, report
+from scenarios.studies.discovery_outside import CASES, affected, by_learning, flights, report
 
 NULLS: dict[str, PlantEffect] = {
     "magnet": outside.Magnet(), "sloshing_mass": outside.SloshingMass(), "thrust_gap": outside.ThrustGap(),
@@ -71,6 +71,8 @@ def test_the_share_is_of_what_the_effect_adds_to_the_least_error():
     ]
     assert affected(rows, least) == ("position", pytest.approx(0.6 * (4 - 0.25) / (4 - 1)))
     assert affected(rows[1:2], least) is None
+    assert by_learning({"gap": rows}, {"position": 1.2}, least) == pytest.approx((4 - 1.44) / (4 - 1))
+    assert by_learning({"gap": rows[1:2]}, {"rate": 0.5}, least) is None
 
 
 def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
@@ -82,3 +84,7 @@ def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
         ["wall", "1", "0"], ["power_drag", "1", "1"], ["outside", "1", "0"], ["relatives", "1", "1"], ["all", "2", "1"],
     ]  # fmt: skip
     assert all("0.667, 0.667" in line for line in text.splitlines()[1:])
+    taught = [{"case": "wall", "seed": 1, "rmse": {"position": 1.0}}]
+    lines = report([row, {**row, "case": "power_drag"}], taught).splitlines()
+    assert lines[1].split()[-4:] == ["1.000,", "1.000", "1.000,", "1.000"]
+    assert lines[2].split()[-2:] == ["-", "-"]
