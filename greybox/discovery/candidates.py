@@ -21,6 +21,8 @@ TOGETHER = (("motor_lag", "command_delay"),)
 """Effects whose slopes at the null are the same: they always enter a refit alone and together."""
 TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
+IN_OTHER_WORDS = {"command_delay": ("sensor_delay", "pose_delay")}
+"""The same thing said otherwise: where all sensors are late by as much, no log tells that from late commands."""
 LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""
 

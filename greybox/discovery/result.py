@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.discovery.candidates import IN_OTHER_WORDS
 from greybox.discovery.gap import GapRow
 from greybox.discovery.leftover import Promoted
 from greybox.discovery.name import Addition
@@ -89,11 +90,17 @@ class Discovery:
                         "p_value": a.p_value,
                         "delta_bic": a.delta_bic,
                         "delta_bic_rival": a.delta_bic_rival,
-                        "alternatives": [n for n in a.rivals if n != name],
+                        "alternatives": self._in_other_words(name),
                         "step": step,
                     }
                 )
         return out
+
+    def _in_other_words(self, name: str) -> list[str]:
+        """Effects that are the same thing together, where these logs have the sensors that they speak of."""
+        same = IN_OTHER_WORDS.get(name, ())
+        out_of_question = {e.name for e in self.final_effects} | set(self.unjudged)
+        return [] if not same or out_of_question & set(same) else ["+".join(same)]
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:
@@ -206,6 +213,7 @@ class Discovery:
                     for n, v in e["parameters"].items()
                 )
                 lines.append(f"  {e['name']}: {numbers} (p {e['p_value']:.2g}, BIC {e['delta_bic']:.0f} better)")
+                lines += [f"    the same thing in these logs: {n.replace('+', ' and ')} alike" for n in e["alternatives"]]
         for a in self.additions:
             if a.rivals:
                 lines.append("  one of " + ", ".join(f"{n} ({w:.0%})" for n, w in a.rivals.items()))

@@ -68,11 +68,16 @@ def _numbers(effect: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
+def _in_other_words(effect: Mapping[str, Any]) -> str:
+    same = [_list(n.split("+")) for n in effect["alternatives"]]
+    return "".join(f" (or, the same thing here, {n} alike)" for n in same)
+
+
 def _answer(report: Report, content: Mapping[str, Any]) -> None:
     report.section("The answer")
     verdict = content["verdict"]
     (report.verdict if verdict in ("named", "nothing_missing") else report.paragraph)(ANSWERS[verdict])
-    texts = [f"{e['name']}: {_numbers(e)}" for e in content["effects"]]
+    texts = [f"{e['name']}: {_numbers(e)}" + _in_other_words(e) for e in content["effects"]]
     texts += [
         "one of " + ", ".join(f"{c['name']} ({100 * c['weight']:.0f} %)" for c in a["candidates"])
         for a in content["ambiguous"]

@@ -226,16 +226,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     path = Path(options.out)
     rows = read_rows(path)
     done = {(r["case"], r["seed"]) for r in rows}
+    wanted = options.only.split(",") if options.only else list(CASES)
     other = path.with_suffix(".learned.jsonl")
     taught = read_rows(other)
     for row in rows if options.learn else ():
-        if any((t["case"], t["seed"]) == (row["case"], row["seed"]) for t in taught):
+        if row["case"] not in wanted or any((t["case"], t["seed"]) == (row["case"], row["seed"]) for t in taught):
             continue
         taught.append(learned(row))
         append_row(other, taught[-1])
         share = by_learning(row, taught[-1]["rmse"], least(row["seed"]))
         print(f"{row['seed']:5d} {row['case']:18s} learned: {share if share is None else round(share, 3)}", flush=True)
-    wanted = options.only.split(",") if options.only else list(CASES)
     for seed in () if options.report or options.learn else options.seeds:
         for name in wanted:
             if (name, seed) in done:

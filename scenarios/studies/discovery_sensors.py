@@ -82,6 +82,7 @@ def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float =
         "p_value": {e["name"]: e["p_value"] for e in content["effects"]},
         "delta_bic": {e["name"]: e["delta_bic"] for e in content["effects"]},
         "groups": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
+        "alternatives": {e["name"]: e["alternatives"] for e in content["effects"] if e["alternatives"]},
         "truth": {k: float(v) for e in plant.effects for k, v in e.parameters().items()},
         "sensors": content.get("sensors", []), "unnamed": [u["proposal"] for u in content["unnamed"]],
         "deficiency": content["deficiency"], "faults": content["faults"], "warnings": content["warnings"],
@@ -97,6 +98,11 @@ def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]
     on = realism_of(row["ingredients"]).switched_on
     allowed = truth.union(*(EXPECTED.get(i, set()) for i in on))
     names = set(row["effects"])
+    for name, said in row.get("alternatives", {}).items():
+        for words in (set(w.split("+")) for w in said):
+            # All sensors late alike: late commands are the same thing.
+            if name not in allowed and words <= allowed and words & truth:
+                names = names - {name} | words
     groups = [{n for c in g for n in c.split("+")} for g in row["groups"]]
     wrong = {n for n in names if n not in allowed}
     for g in groups:

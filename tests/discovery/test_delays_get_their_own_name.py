@@ -37,6 +37,16 @@ def test_a_delay_of_a_fraction_of_a_sample(hidden: PlantEffect):
     assert abs(d["value"] - next(iter(hidden.parameters().values()))) < 4 * d["std"] < 4e-4
 
 
+def test_all_sensors_late_alike_are_late_commands_in_other_words():
+    hidden = (SensorDelay(d=0.013), PoseDelay(d=0.013))
+    found = discover(vehicle(), flown(*hidden, seconds=6.0), flown(*hidden, seeds=(11,), name="test"))
+    (effect,) = found.effects()
+    assert effect["name"] == "command_delay"
+    assert effect["parameters"]["d"]["value"] == pytest.approx(0.013, abs=4e-4)
+    assert effect["alternatives"] == ["sensor_delay+pose_delay"]
+    assert "the same thing in these logs: sensor_delay and pose_delay alike" in found.summary()
+
+
 def test_commands_before_a_cut_are_used():
     (segment,) = next(iter(flown(CommandDelay(d=0.013)))).segments
     model = build_model(vehicle(), segment.names, [e for e in CATALOGUE if e.name == "command_delay"], sample_time=0.01)

@@ -103,6 +103,13 @@ def test_a_name_comes_with_its_number_its_place_and_its_gain():
     assert page.index("What was added</h2>") < page.index("How far the gap closed</h2>")
 
 
+def test_what_is_the_same_thing_is_said_with_the_name():
+    given = content()
+    assert "the same thing" not in discover_report(given)
+    given["effects"][0] |= {"name": "command_delay", "alternatives": ["sensor_delay+pose_delay"]}
+    assert "the same thing here, sensor_delay and pose_delay alike" in discover_report(given)
+
+
 def test_what_was_not_judged_and_not_seen_is_said():
     page = discover_report(content("nothing_missing"))
     assert "no vbat" in page

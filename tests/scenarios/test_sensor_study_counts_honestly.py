@@ -35,6 +35,16 @@ def test_right_means_the_truth_and_no_other_physics(case, right):
     assert judge(case)["right"] is right
 
 
+def test_late_commands_are_all_sensors_late_alike_only_where_they_are():
+    said = {"alternatives": {"command_delay": ["sensor_delay+pose_delay"]}}
+    late = row(effect="sensor_delay", effects=["command_delay"])
+    assert not judge(late)["right"]
+    assert judge(late | said)["right"]
+    assert not judge(row(effect="motor_lag", effects=["command_delay"]) | said)["right"]
+    assert not judge(row(effect="sensor_delay", effects=["command_delay"], ingredients="colour") | said)["right"]
+    assert not judge(row(effects=["command_delay"]) | said)["right"]
+
+
 def test_names_of_sensors_that_nobody_hid_are_counted_apart():
     assert judge(row(effects=["pose_delay"], ingredients="none"))["sensor"] == ["pose_delay"]
     assert judge(row(effects=["pose_delay"], ingredients="pose_delay"))["sensor"] == []
