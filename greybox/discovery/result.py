@@ -22,6 +22,7 @@ from greybox.discovery.written import names_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel, library_versions
 
 SCHEMA = "greybox.discovery/1"
@@ -90,17 +91,22 @@ class Discovery:
                         "p_value": a.p_value,
                         "delta_bic": a.delta_bic,
                         "delta_bic_rival": a.delta_bic_rival,
-                        "alternatives": self._in_other_words(name),
+                        "alternatives": self._in_other_words(name, max(abs(e.value) for e in own.values())),
                         "step": step,
                     }
                 )
         return out
 
-    def _in_other_words(self, name: str) -> list[str]:
-        """Effects that are the same thing together, where these logs have the sensors that they speak of."""
-        same = IN_OTHER_WORDS.get(name, ())
-        out_of_question = {e.name for e in self.final_effects} | set(self.unjudged)
-        return [] if not same or out_of_question & set(same) else ["+".join(same)]
+    def _in_other_words(self, name: str, size: float) -> list[str]:
+        """Effects that are the same thing together, where these logs have the sensors that they speak of and they may be of
+        that `size`."""
+        same = [e for n in IN_OTHER_WORDS.get(name, ()) for e in CATALOGUE if e.name == n]
+        sensors = {s.name for s in self.model.physics.sensors}
+        needed = [n for e in same for n in (e.needs.sensors, e.needs.other_sensors) if n]
+        meant = [bool(set(n) & sensors) for n in needed]
+        small = [size <= d.upper for e in same for d in e.parameters(self.model.physics.vehicle)]
+        known = {e.name for e in self.final_effects} & {e.name for e in same}
+        return ["+".join(e.name for e in same)] if same and all(meant) and all(small) and not known else []
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from greybox.errors import FitError
 from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.lost_commands import Pushes
-from greybox.estimation.record import REACH, lost_bits
+from greybox.estimation.record import lost_bits
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -145,11 +145,11 @@ class Riccati:
     @property
     def _felt(self) -> int:
         """Bits of the lost rows of which something arrives."""
-        return 0 if self.lost is None else self.lost.felt & ((1 << REACH) - 1)
+        return 0 if self.lost is None else self.lost.felt
 
     def distinct(self, patterns: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """(patterns whose gains differ, which of them each of `patterns` is): of most lost commands nothing arrives at most
-        of the samples after them."""
+        """(patterns whose gains differ, which of them each of `patterns` is): a lost command reaches
+        few of the samples after it."""
         missing = patterns == 0
         kept = lost_bits(patterns) & self._felt
         few, which = np.unique(np.where(missing, 0.0, 1.0 + kept), axis=0, return_inverse=True)
@@ -162,23 +162,25 @@ class Riccati:
         a, c, *slopes = self.pieces
         b, h = self.lost.B, self.lost.H
         sloped = bool(slopes) and self.dS is not None
-        x, made = b[0], list[_Arrival]()
+        early, (weight, dweight) = self.lost.early, self.lost.weights
+        x, made = b[0] + a @ early, list[_Arrival]()
         dx = db = dh = np.zeros((0, 1, *x.shape))
         if sloped:
             da, dc = slopes
-            db, dh = (_extend(v, len(da)) for v in (self.lost.dB, self.lost.dH))
-            dx = db[:, 0]
+            db, dh, dearly = (_extend(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly))
+            dx, dweight = db[:, 0] + da @ early + a @ dearly, _extend(dweight, len(da))
         for i in range(self._felt.bit_length()):
             e, f = c @ x + h[i + 1], a @ x + b[i + 1]
-            n_, s = f @ e.T, e @ e.T
+            n_, s = weight[i] * f @ e.T, weight[i] * e @ e.T
             if not sloped:
                 made.append(_Arrival(N=n_, S=s))
                 k, *_ = _gain(self.N + n_, self.S + s)
                 x = f - k @ e
                 continue
             de, df = dc @ x + c @ dx + dh[:, i + 1], da @ x + a @ dx + db[:, i + 1]
-            side = de @ e.T
-            dn, ds = df @ e.T + f @ de.transpose(0, 2, 1), side + side.transpose(0, 2, 1)
+            side, dw = weight[i] * de @ e.T, dweight[:, i, None, None]
+            dn = weight[i] * (df @ e.T + f @ de.transpose(0, 2, 1)) + dw * (f @ e.T)
+            ds = side + side.transpose(0, 2, 1) + dw * (e @ e.T)
             made.append(_Arrival(N=n_, S=s, dN=dn, dS=ds))
             assert self.dN is not None and self.dS is not None
             k, dk = _gain(self.N + n_, self.S + s, self.dN + dn, self.dS + ds)

@@ -5,11 +5,15 @@ Sigma. It arrives when commands arrive, after whatever delays the model has. Wit
 from row k + i of the lost row k, the state i rows after the next is off by X_i du, X_0 = B_0, and its sample by E_i du:
 
     E_i = C X_i + H_(i+1),   F_i = A X_i + B_(i+1),   X_(i+1) = F_i - K_i E_i
-    S_i = S + E_i Sigma E_i',   K_i = (A P C' + G Q D' + F_i Sigma E_i') S_i^-1
+    S_i = S + w_i E_i Sigma E_i',   K_i = (A P C' + G Q D' + w_i F_i Sigma E_i') S_i^-1
 
 the gain that is best for the state after it. (With an error that stays this is Friedland's bias, IEEE Trans. Automatic
-Control 14(4), 1969; there the command would be estimated as well, here each sample only corrects the state.) What X is left
-when all of the command has arrived is not followed, nor is the noise that K_i lets in besides.
+Control 14(4), 1969; there the command would be estimated as well, here each sample only corrects the state.) A record that
+runs linearly uses u(k) one row earlier, too: then X_0 = B_0 + A B_(-1). What is left of X counts at samples that something
+new reaches, with a weight w_i that is 1 but for the smallest shares (`SHARE`) and goes smoothly to 0 without any: the
+likelihood stays smooth where a delay passes a whole sample, and is that of the model without the delay where that is 0. Not
+followed are the noise that K_i lets in besides, rows among these that were lost themselves, and all but the last two lost
+rows.
 """
 
 from __future__ import annotations
@@ -23,29 +27,51 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.estimation.engine import chart_jacobians, symbols
-from greybox.estimation.record import Record
+from greybox.estimation.record import REACH, Record
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
 LOST = 0.04
 """Standard deviation of a lost command about the one before, relative to the mean command."""
+SHARE = 0.1
+"""Share of a command from which on it counts in full."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pushes:
     """B (m, n_d, n_u) and H (m, n_e, n_u) per standard deviation of every command, for i = 0 .. m-1 rows after the lost
-    one, and, with slopes, their derivatives (n_s, m, ...). The last of each is zero."""
+    one, `early` (n_d, n_u) for the row before it, and, with slopes, their derivatives (n_s, ...). The last is zero."""
 
     B: FloatArray
     H: FloatArray
+    early: FloatArray
     dB: FloatArray | None = None
     dH: FloatArray | None = None
+    dearly: FloatArray | None = None
+
+    @functools.cached_property
+    def weights(self) -> tuple[FloatArray, FloatArray]:
+        """w (m - 1,) and its slopes (n_s, m - 1): by the squared share of the command that reaches state or sample then."""
+        parts = ((self.B[:-1], self.dB if self.dB is None else self.dB[:, :-1]),
+                 (self.H[1:], self.dH if self.dH is None else self.dH[:, 1:]))  # fmt: skip
+        n = len(self.B) - 1
+        square, slope = np.zeros(n), np.zeros((0 if self.dB is None else len(self.dB), n))
+        for v, dv in parts:
+            own = (v**2).sum(axis=(1, 2))
+            whole = own.sum()
+            if whole == 0:
+                continue
+            square += own / whole
+            if dv is not None:
+                d = 2 * (v * dv).sum(axis=(2, 3))
+                slope += d / whole - own * d.sum(axis=1, keepdims=True) / whole**2
+        part = np.minimum(square / SHARE**2, 1.0)
+        return part * (2 - part), 2 * (1 - part) * slope / SHARE**2
 
     @functools.cached_property
     def felt(self) -> int:
-        """Bits of the rows after a lost one (bit i: i rows after the next) at which anything of it arrives."""
-        there = [self.B[i].any() or self.H[i + 1].any() for i in range(len(self.B) - 1)]
-        return sum(1 << i for i, t in enumerate(there) if t)
+        """Bits of the rows after a lost one (bit i: i rows after the next) at which anything arrives."""
+        return sum(1 << i for i, w in enumerate(self.weights[0][:REACH]) if w > 0)
 
 
 class LostCommands:
@@ -95,14 +121,15 @@ class LostCommands:
                 value, slope = self._value_only(x, window, p, dt).full(), None
             else:
                 value, slope = (v.full() for v in self._function(x, window, p, dt))
-        b, h = self._unpack(value, sigma)
+        (b, early), (h, _) = self._unpack(value, sigma)
         if slope is None or columns is None:
-            return Pushes(B=b[0], H=h[0])
-        db, dh = self._unpack(slope[:, columns] * scale, sigma)
-        return Pushes(B=b[0], H=h[0], dB=db, dH=dh)
+            return Pushes(B=b[0], H=h[0], early=early[0])
+        (db, dearly), (dh, _) = self._unpack(slope[:, columns] * scale, sigma)
+        return Pushes(B=b[0], H=h[0], early=early[0], dB=db, dH=dh, dearly=dearly)
 
-    def _unpack(self, columns: FloatArray, sigma: FloatArray) -> list[FloatArray]:
-        """[B, H] of every column, (columns, past + 2, n, n_u), the latest command first."""
+    def _unpack(self, columns: FloatArray, sigma: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """[(B, early), (H, unused)] of every column: (columns, past + 2, n, n_u), the latest command first, and
+        (columns, n, n_u) for the command that comes."""
         made, at = [], 0
         for (rows, width), (row, column) in zip(self._shapes, self._places, strict=True):
             dense = np.zeros((columns.shape[1], rows, width))
@@ -110,7 +137,8 @@ class LostCommands:
             at += row.size
             by_row = dense.reshape(columns.shape[1], rows, width // sigma.size, sigma.size) * sigma
             late = by_row[:, :, self._now :: -1].transpose(0, 2, 1, 3)
-            made.append(np.concatenate([late, np.zeros_like(late[:, :1])], axis=1))
+            none = np.zeros((columns.shape[1], 1, rows, sigma.size))
+            made.append((np.concatenate([late, none], axis=1), by_row[:, :, self._now + 1 :].sum(axis=2)))
         return made
 
 

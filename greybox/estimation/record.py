@@ -14,7 +14,9 @@ from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 
 REACH = 50
-"""Rows after a lost one that know of it: whole numbers in floating point have so many bits."""
+"""Rows after a lost one that know of it at most: whole numbers in floating point have so many bits."""
+MOST = 2
+"""How many lost rows before it a row knows of, the last ones."""
 RARE = 0.1
 """Share of a record's rows up to which rows without any measurement count as lost."""
 
@@ -103,15 +105,20 @@ def lost_bits(patterns: FloatArray) -> npt.NDArray[np.int64]:
 
 
 def _after_lost(mask: BoolArray, u: FloatArray, past: int) -> FloatArray:
-    """(n,) bits of the rows before every row that were lost, as far back as a step looks at commands: nothing was measured
-    there, and the command is only that of the row before."""
+    """(n,) bits of the last `MOST` rows before every row that were lost, not longer ago than a step looks at commands:
+    nothing was measured there, and the command is only that of the row before."""
     lost = np.asarray(~mask.any(axis=1))
     lost[1:] &= (u[1:] == u[:-1]).all(axis=1)
     lost[0] = False
     bits = np.zeros(lost.size)
     if lost.mean() <= RARE:
+        known = np.zeros(lost.size, dtype=int)
         for i in range(min(past + 1, REACH)):
-            bits[i + 1 :] += float(1 << i) * lost[: lost.size - 1 - i]
+            new = np.zeros_like(lost)
+            new[i + 1 :] = lost[: max(lost.size - 1 - i, 0)]
+            new &= known < MOST
+            bits += float(1 << i) * new
+            known += new
     return bits
 
 

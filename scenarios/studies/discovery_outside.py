@@ -137,7 +137,7 @@ def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tu
 def by_learning(row: Mapping[str, Any], rmse: Mapping[str, float], least: Mapping[str, float]) -> float | None:
     """`affected` for errors with a learned part."""
     group = (affected(row["gap"], least) or (None,))[0]
-    if group is None:
+    if group is None or group not in rmse:
         return None
     before = next(r["before"] for r in row["gap"] if r["group"] == group)
     return float((before**2 - rmse[group] ** 2) / (before**2 - least[group] ** 2))
@@ -199,9 +199,9 @@ def report(rows: Sequence[dict[str, Any]], taught: Sequence[dict[str, Any]] = ()
             named.append(found[1])
             if (r["case"], r["seed"]) in rmse:
                 share = by_learning(r, rmse[r["case"], r["seed"]], least(r["seed"]))
-                assert share is not None
-                other.append(share)
-                best.append(max(share, found[1]))
+                if share is not None:
+                    other.append(share)
+                    best.append(max(share, found[1]))
         lines.append(
             f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} {sum(bool(r['flagged']) for r in own):8d} "
             f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(other):>17s} {_spread(best):>15s}"

@@ -41,6 +41,8 @@ EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
 }  # fmt: skip
 """Names of the sensor stage that an ingredient makes true."""
+SAMPLE = 0.01
+"""Sample time of the logs [s]."""
 SINGLES = tuple(c for c in cases(X250) if c != "clean")
 
 
@@ -101,7 +103,7 @@ def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]
     for name, said in row.get("alternatives", {}).items():
         for words in (set(w.split("+")) for w in said):
             # All sensors late alike: late commands are the same thing.
-            if name not in allowed and words <= allowed and words & truth:
+            if name not in allowed and words <= allowed and words & truth and _alike(row, name):
                 names = names - {name} | words
     groups = [{n for c in g for n in c.split("+")} for g in row["groups"]]
     wrong = {n for n in names if n not in allowed}
@@ -113,6 +115,14 @@ def judge(row: dict[str, Any], found: Discovery | None = None) -> dict[str, Any]
     named = truth <= names.union(*groups)
     right = not physics and not row["unnamed"] and named and row["verdict"] != "bad_data"
     return {"physics": physics, "sensor": sensor, "named": named, "right": right}
+
+
+def _alike(row: dict[str, Any], name: str) -> bool:
+    """Whether the late pose of the ingredients and the hidden delay are as long as what was found, within ten per cent."""
+    realism = realism_of(row["ingredients"])
+    pose = realism.pose_delay + 0.5 * realism.jitter * SAMPLE
+    hidden, found = next(iter(row["truth"].values())), next(iter(row["effects"][name].values()))[0]
+    return all(abs(d - hidden) < 0.1 * hidden for d in (pose, found))
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> str:

@@ -36,13 +36,18 @@ def test_right_means_the_truth_and_no_other_physics(case, right):
 
 
 def test_late_commands_are_all_sensors_late_alike_only_where_they_are():
-    said = {"alternatives": {"command_delay": ["sensor_delay+pose_delay"]}}
+    said = {
+        "alternatives": {"command_delay": ["sensor_delay+pose_delay"]}, "truth": {"sensor_delay.d": 0.02},
+        "effects": {"command_delay": {"d": [0.0198, 1e-4]}},
+    }  # fmt: skip
     late = row(effect="sensor_delay", effects=["command_delay"])
     assert not judge(late)["right"]
     assert judge(late | said)["right"]
-    assert not judge(row(effect="motor_lag", effects=["command_delay"]) | said)["right"]
-    assert not judge(row(effect="sensor_delay", effects=["command_delay"], ingredients="colour") | said)["right"]
-    assert not judge(row(effects=["command_delay"]) | said)["right"]
+    assert not judge(late | said | {"truth": {"sensor_delay.d": 0.012}})["right"]
+    assert not judge(late | said | {"effects": {"command_delay": {"d": [0.012, 1e-4]}}})["right"]
+    assert not judge(row(effect="motor_lag") | said)["right"]
+    assert not judge(row(effect="sensor_delay", ingredients="colour") | said)["right"]
+    assert not judge(row() | said)["right"]
 
 
 def test_names_of_sensors_that_nobody_hid_are_counted_apart():

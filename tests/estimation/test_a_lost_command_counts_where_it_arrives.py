@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from greybox.data import dataset_from_arrays
+from greybox.discovery.differences import widened
+from greybox.discovery.screen import screen
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import fit
 from greybox.estimation.gain import stationary
-from greybox.estimation.lost_commands import LOST, LostCommands, Pushes
+from greybox.estimation.lost_commands import LOST, Pushes, lost_commands
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.estimation.record import lost_bits, make_records
@@ -46,34 +50,29 @@ def problem_of(vehicle, data, effects=(), **choices):
     return make_problem(model, data, predictor=Innovation(), criterion=Gaussian(), use_compiler=False, **choices)
 
 
-def late_by_two_rows(whole, holed, gone):
-    """The flight with what is measured written two rows later than it was; rows stay lost with their commands."""
+def late_by(whole, holed, gone, rows):
+    """The flight with what is measured written so many rows later than it was; rows stay lost with their commands."""
     out = dict(holed.segments[0].channels)
+    n = np.arange(gone.size)
     for name, v in whole.segments[0].channels.items():
         if name[0] != "u":
-            out[name] = np.where(gone, np.nan, np.concatenate([np.full(2, v[0]), v[:-2]]))
+            out[name] = np.where(gone, np.nan, np.interp(n - rows, n, v))
     return dataset_from_arrays(whole.segments[0].t, out)
 
 
-def test_only_rows_after_a_lost_one_are_marked(flight):
+@pytest.mark.parametrize("effects", [(), ("command_delay",)])
+def test_rows_know_how_long_ago_the_last_two_rows_were_lost(flight, effects):
     vehicle, whole, holed, gone = flight
-    (record,) = problem_of(vehicle, holed).records
-    marked = lost_bits(record.patterns).any(axis=1)[record.pattern]
-    assert np.array_equal(np.flatnonzero(marked), np.flatnonzero(gone) + 1)
-    (record,) = problem_of(vehicle, whole).records
-    assert not lost_bits(record.patterns).any()
-
-
-def test_a_model_with_a_delay_remembers_how_long_ago_a_row_was_lost(flight):
-    vehicle, _, holed, gone = flight
-    problem = problem_of(vehicle, holed, ("command_delay",))
+    problem = problem_of(vehicle, holed, effects)
     (record,) = problem.records
     bits = lost_bits(record.patterns).max(axis=1)[record.pattern]
-    for i in range(problem.dynamics.window[0] + 1):
-        since = np.flatnonzero(gone) + 1 + i
-        since = since[(since < gone.size)]
-        since = since[~gone[since]]
-        assert np.array_equal(np.flatnonzero(bits >> i & 1), since)
+    reach = problem.dynamics.window[0] + 1
+    assert reach == (1 if not effects else 12)
+    for k in np.flatnonzero(~gone):
+        ago = [k - 1 - i for i in np.flatnonzero(gone[:k])[::-1]][:2]
+        assert bits[k] == sum(1 << i for i in ago if i < reach)
+    (record,) = problem_of(vehicle, whole, effects).records
+    assert not lost_bits(record.patterns).any()
 
 
 def test_a_slow_sensor_is_not_a_lost_row(flight):
@@ -98,7 +97,7 @@ def test_the_gain_is_best_for_the_state_after_the_sample():
     q, r = np.array([0.3]), np.array([0.1, 0.2, 0.4])
     b, h = rng.normal(size=(3, 2, 4)), rng.normal(size=(3, 3, 4))
     b[2], h[0], h[2] = 0.0, 0.0, 0.0
-    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=Pushes(B=b, H=h))
+    usual = stationary((a, g, c, d), q, r, np.full(2, 1e9), lost=Pushes(B=b, H=h, early=np.zeros((2, 4))))
     off = b[0]
     for i in (0, 1):
         big = np.block([[usual.P + off @ off.T, off], [off.T, np.eye(4)]])  # of the state and the command
@@ -109,24 +108,72 @@ def test_the_gain_is_best_for_the_state_after_the_sample():
         assert gain == pytest.approx(k, rel=1e-10)
         assert covariance == pytest.approx(s, rel=1e-10)
         off = (go - k @ see) @ np.vstack([off, np.eye(4)])
+    assert usual.lost.weights[0].tolist() == [1.0, 1.0]
     assert usual.gain(np.ones(3))[1] == pytest.approx(usual.S)
     both = usual.gain(np.full(3, 4.0))[1] - usual.S
     assert both == pytest.approx(sum(usual.gain(np.full(3, v))[1] - usual.S for v in (2.0, 3.0)))
 
 
-def test_gains_of_samples_that_nothing_reaches_are_the_usual_ones():
+def test_gains_where_nothing_arrives_are_the_usual_ones():
     zero = np.zeros((4, 2, 1))
     b = zero.copy()
     b[1] = 1.0
     usual = stationary(
         (np.eye(2) * 0.9, np.eye(2), np.eye(2), np.zeros((2, 2))), np.ones(2), np.ones(2), np.full(2, 1e9),
-        lost=Pushes(B=b, H=zero),
+        lost=Pushes(B=b, H=zero, early=zero[0]),
     )  # fmt: skip
-    patterns = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [0.0, 3.0], [5.0, 5.0], [7.0, 7.0]])
+    patterns = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0], [0.0, 3.0], [5.0, 5.0], [8.0, 8.0]])
     few, which = usual.distinct(patterns)
     assert few[which].tolist() == [[0, 0], [1, 1], [1, 1], [3, 3], [0, 3], [1, 1], [3, 3]]
     for m, i in zip(patterns, which, strict=True):
         assert np.array_equal(usual.gain(m)[0], usual.gain(few[i])[0])
+
+
+DELAYS = [("command_delay", d) for d in (0.0, 0.01, 0.02)] + [("sensor_delay", 0.01), ("pose_delay", 0.01)]
+
+
+@pytest.mark.parametrize(("effect", "delay"), DELAYS)
+def test_the_likelihood_does_not_jump_where_a_delay_passes_a_whole_sample(flight, effect, delay):
+    vehicle, _, holed, _ = flight
+    problem = problem_of(vehicle, holed.split_by_time(at=2.0)[0], (effect,))
+    theta = problem.start.copy()
+    at = [u.name for u in problem.unknowns].index(f"{effect}.d")
+    cost = []
+    for d in (delay, delay + 1e-10):
+        theta[at] = d
+        cost.append(problem.evaluate(theta, 0).cost)
+    assert abs(cost[1] - cost[0]) < 1e-3
+    if delay == 0.0:
+        without = problem_of(vehicle, holed.split_by_time(at=2.0)[0])
+        assert cost[0] == pytest.approx(without.evaluate(without.start, 0).cost, abs=1e-6)
+
+
+def test_a_delay_is_seen_as_well_where_a_few_rows_are_lost(flight):
+    """Its score test: a jump of the likelihood at no delay once took all of it."""
+    vehicle, whole, holed, gone = flight
+    tested = {}
+    for name, data in (("whole", late_by(whole, whole, gone & False, 0.3)), ("holed", late_by(whole, holed, gone, 0.3))):
+        at = fit(build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise")
+        large = build_model(vehicle, data.channels, ("command_delay",), sample_time=0.01)
+        problem, theta = widened(at.problem, at.theta, large, data, {"command_delay.d": 0.0})
+        (tested[name],) = screen(problem, problem.evaluate(theta, scores=50), {"command_delay": ["command_delay.d"]})
+    assert tested["whole"].statistic > 50.0
+    assert tested["holed"].statistic > 0.7 * tested["whole"].statistic
+    stds = [next(iter(t.std.values())) for t in tested.values()]
+    assert stds[1] == pytest.approx(stds[0], rel=0.2)
+
+
+def test_of_a_linear_record_half_arrives_one_row_earlier(flight):
+    vehicle, whole, _, _ = flight
+    moved = {}
+    for hold in ("zero", "linear"):
+        other = replace(vehicle, actuator=replace(vehicle.actuator, hold=hold))
+        problem = problem_of(other, whole)
+        x, window = problem.state["reference"]
+        pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
+        moved[hold] = [np.abs(v).sum() for v in (pushes.B[0], pushes.early)]
+    assert moved["zero"][1] == 0.0
+    assert moved["linear"] == pytest.approx([moved["zero"][0] / 2] * 2, rel=1e-3)
 
 
 @pytest.mark.parametrize(("delay", "rows"), [(0.0, [0]), (0.02, [2]), (0.015, [1, 2])])
@@ -135,7 +182,7 @@ def test_a_lost_command_moves_what_commands_move_when_they_arrive(flight, delay,
     effects = ("command_delay",) if delay else ()
     problem = problem_of(vehicle, whole, effects, values={"command_delay.d": delay} if delay else None)
     x, window = problem.state["reference"]
-    pushes = LostCommands(problem.dynamics, ()).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
+    pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
     at = {n: i for i, n in enumerate(problem.dynamics.error_states.names)}
     spread = np.sqrt((pushes.B**2).sum(axis=2))
     # Four independent commands, LOST of the mean command u each: rate = dt lever 2 c2 u LOST u sqrt(4) / J.
@@ -171,7 +218,7 @@ def test_the_gradient_stays_exact(flight, effects):
 def test_late_commands_are_charged_to_the_sample_that_they_reach(flight):
     """Charged to the row after the lost one, late commands made a lag of no length likelier than none."""
     vehicle, whole, holed, gone = flight
-    late = late_by_two_rows(whole, holed, gone)
+    late = late_by(whole, holed, gone, 2)
     likelihood = []
     for effects in (("command_delay",), ("command_delay", "motor_lag")):
         model = build_model(vehicle, late.channels, effects, sample_time=0.01)
