@@ -110,7 +110,7 @@ def widened(
                 columns=np.concatenate([block.columns, small.n + np.array(there, dtype=np.intp)]),
             )
         )
-    state = {k: v for k, v in small.state.items() if k != "index"}
+    state = {k: v for k, v in small.state.items() if k != "index"} | {"thresholds": frozenset(runner.thresholds)}
     wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), state=state)
     return wide, np.concatenate([theta, [u.start for u in added]])
 
@@ -142,6 +142,7 @@ class _Runner:
         process, sensor = small.noise_levels(theta)
         self.q, self.r = process**2, sensor**2
         self.names = [d.name for d in large.parameters]
+        self.thresholds: set[str] = set()
         self.starts = [self._start(i) for i in range(len(self.records))]
         self.common = self.riccati(self.parameters(None))
         self.base = [self.run(i, self.parameters(r.flight), self.common) for i, r in enumerate(self.records)]
@@ -180,7 +181,8 @@ class _Runner:
         return _Column(innovations=run.innovations, covariance=s)
 
     def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:
-        """Change of every record with one parameter (of one flight): None where the record is of another flight."""
+        """Change of every record with one parameter (of one flight): None where the record is of another flight. What is
+        only felt of a larger step goes to `thresholds`."""
         sign = 1.0 if null + STEP * d.scale <= d.upper else -1.0
         found: list[_Column | None] = []
         for size in (STEP, *FURTHER):
@@ -190,6 +192,8 @@ class _Runner:
             change = np.concatenate([np.abs(c.innovations) for c in there]).max(axis=1)
             if float((change > TRACE * change.max()).mean()) > FELT:
                 break
+        if size > STEP:
+            self.thresholds.add(d.name)
         return found
 
     def _moved(self, name: str, value: float, h: float, flight: str | None) -> list[_Column | None]:

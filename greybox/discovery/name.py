@@ -15,7 +15,7 @@ import numpy as np
 import scipy.stats
 
 from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
-from greybox.discovery.nested import ROOM, Nest, NestedFit, Refit
+from greybox.discovery.nested import FINE, ROOM, SHARES, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
 CLEAR = 10.0
@@ -23,6 +23,9 @@ CLEAR = 10.0
 SHORT = 0.25
 """Part of a sample below which lag and delay of the command are not told apart: all that is seen is which command a sample
 still felt, and that is as much a matter of how the log was written."""
+PLAIN = 0.1
+"""Log likelihood per sample by which an effect with a threshold must raise the fit where the test of block scores does not
+see it: such an effect is felt in a few bursts, and that statistic cannot exceed the number of blocks it is felt in."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 
@@ -51,9 +54,13 @@ def next_addition(
     that were `refused` are not tried."""
     passing = [s for s in scores if s.judged and s.allowed and s.p_family <= alpha]
     # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
-    # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have.
-    passing = sorted(passing, key=lambda s: -s.statistic)[:CONTENDERS]
-    unscored = [s for s in scores if s.refit]
+    # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have, but for lags and delays,
+    # which gain far more than their first step tells: these always contend.
+    passing = sorted(passing, key=lambda s: -s.statistic)
+    passing = [s for i, s in enumerate(passing) if i < CONTENDERS or s.name in TIMING]
+    plain = 2 * PLAIN * max(at.fit.n_samples, 1)
+    rare = [s for s in scores if s.threshold and s.judged and s.allowed and s.p_family > alpha and s.statistic > plain]
+    unscored = [*(s for s in scores if s.refit), *rare]
     if not passing and not unscored:
         return None
     by_name = {s.name: s for s in scores}
@@ -68,7 +75,8 @@ def next_addition(
     tasks = []
     for chosen in sets:
         first = {k: v for n in chosen for k, v in by_name[n].estimate.items()}
-        task = nest.task((*at.effects, *chosen), start=at, first=first)
+        shares = FINE if any(by_name[n].threshold for n in chosen) else SHARES
+        task = nest.task((*at.effects, *chosen), start=at, first=first, shares=shares)
         tasks.append(nest.from_each(task) if any(by_name[n].refit for n in chosen) else task)
     fits: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.contest(tasks), strict=True):
@@ -94,7 +102,9 @@ def next_addition(
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
     rivals = _same_within_a_sample(nest, fits[best], best, gaps) or rivals or _same_without_pose(nest, best)
     p_value = min(by_name[n].p_family for n in best)
-    if all(by_name[n].refit for n in best):
+    if gain < plain and any(s.name in best for s in rare):
+        return None
+    if {*best} <= {s.name for s in unscored}:
         p_value = _likelihood_ratio(at, fits[best], len(nest.candidates.parameters))
         if p_value > alpha:
             return None

@@ -66,6 +66,8 @@ LONGER = 5
 SHARES = (1.0, 0.3, 0.1, 0.03)
 """Parts of a first estimate to start from. The whole of a large one, linear from the null, can lie far outside; the noise
 levels then grow and shrink again for twenty iterations."""
+FINE = tuple(k / 10 for k in range(12, 0, -1))
+"""The same for an effect with a threshold, which has no slope on the side of it where nothing is felt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,10 +261,10 @@ class Nest:
 
     def task(
         self, effects: Iterable[str], start: NestedFit | None = None, first: Mapping[Key, float] | None = None,
-        also: NestedFit | None = None,
+        also: NestedFit | None = None, shares: Sequence[float] = SHARES,
     ) -> Task:  # fmt: skip
-        """Fit with `effects` free, from the estimates of `start` and first estimates (of a score test) for new ones, or a
-        part of them, or from the noise levels or everything of `also`."""
+        """Fit with `effects` free, from the estimates of `start` and first estimates (of a score test) for new ones, or
+        `shares` of them, or from the noise levels or everything of `also`."""
         chosen = tuple(effects)
         free = (*self.candidates.core, *(p for e in chosen for p in self.candidates.parameters[e]))
         model = self.candidates.only(chosen)
@@ -273,7 +275,7 @@ class Nest:
         if start is not None:
             base = _unknowns(start, free)
             new = {k: v for k, v in (first or {}).items() if k[0] in declared}
-            for share in SHARES if any(n in null for n, _ in new) else (1.0,):
+            for share in shares if any(n in null for n, _ in new) else (1.0,):
                 part = {(n, f): null.get(n, v) + share * (v - null.get(n, v)) for (n, f), v in new.items()}
                 moved = {k: float(np.clip(v, declared[k[0]].lower, declared[k[0]].upper)) for k, v in part.items()}
                 starts.append(base | moved)

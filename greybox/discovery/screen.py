@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -42,7 +43,8 @@ class Score:
     estimates by parameter and flight. `left` is the smallest share of information that the free parameters leave to a
     direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity), `allowed` where
     every first estimate lies beyond a bound (a negative delay). `refit`: at its null the candidate has no score (nothing
-    shows the velocity that it acts on), and only a refit from the size that `estimate` holds can test it."""
+    shows the velocity that it acts on), and only a refit from the size that `estimate` holds can test it. `threshold`: at
+    its null it does nothing (a limit that no command reaches); it is felt in few blocks, and `robust` cannot exceed them."""
 
     name: str
     statistic: float
@@ -58,6 +60,7 @@ class Score:
     limit: float = 0.0
     allowed: bool = True
     refit: bool = False
+    threshold: bool = False
 
 
 def screen(
@@ -79,6 +82,7 @@ def screen(
     assert value.scores is not None
     names = [u.name for u in problem.unknowns]
     owner = {p: g for g, ps in groups.items() for p in ps}
+    thresholds: Any = problem.state.get("thresholds", ())
     nuisance = np.array([i for i, n in enumerate(names) if n not in owner], dtype=int)
     scale = np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
     h = value.hessian / np.outer(scale, scale)
@@ -124,6 +128,7 @@ def screen(
                 std={_label(problem, i): float(s / scale[i]) for i, s in zip(alive, spread, strict=True)},
                 left=float(shares[keep].min()),
                 judged=True,
+                threshold=any(m in thresholds for m in members),
                 allowed=any(_allowed(problem, i, e) for i, e in zip(alive, estimate, strict=True)),
             )
         )
