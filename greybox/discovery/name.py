@@ -80,7 +80,8 @@ def next_addition(
         tasks.append(nest.from_each(task) if any(by_name[n].refit for n in chosen) else task)
     fits: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.contest(tasks), strict=True):
-        if found.comparable and not any(found.at_bound(n) for n in chosen):
+        enough = plain if any(s.name in chosen for s in rare) else -np.inf
+        if found.comparable and not any(found.at_bound(n) for n in chosen) and at.bic - found.bic > enough:
             fits[chosen] = found
     if not fits:
         return None
@@ -102,8 +103,6 @@ def next_addition(
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
     rivals = _same_within_a_sample(nest, fits[best], best, gaps) or rivals or _same_without_pose(nest, best)
     p_value = min(by_name[n].p_family for n in best)
-    if gain < plain and any(s.name in best for s in rare):
-        return None
     if {*best} <= {s.name for s in unscored}:
         p_value = _likelihood_ratio(at, fits[best], len(nest.candidates.parameters))
         if p_value > alpha:

@@ -31,7 +31,9 @@ class Refits:
         )
     )
 
-    def task(self, effects: Any, start: Any = None, first: Any = None, also: Any = None) -> Any:
+    def task(
+        self, effects: Any, start: Any = None, first: Any = None, also: Any = None, shares: Any = None
+    ) -> Any:  # fmt: skip
         self.firsts.append(first)
         return tuple(sorted(effects))
 
@@ -42,7 +44,11 @@ class Refits:
                 effects=chosen, theta=dict(self.theta), bic=self.bic.get(chosen, 1e9),
                 at_bound=lambda name: name in self.bound,
                 comparable=chosen not in self.failed, converged=chosen not in self.failed,
-                fit=SimpleNamespace(converged=chosen not in self.failed, parameters=dict(self.found)),
+                loglik=-0.5 * self.bic.get(chosen, 1e9), evidence=-0.5 * self.bic.get(chosen, 1e9),
+                n_parameters=5 + len(chosen),
+                fit=SimpleNamespace(
+                    converged=chosen not in self.failed, parameters=dict(self.found), n_samples=1000,
+                ),
             )
             for chosen in tasks
         ]  # fmt: skip
@@ -70,6 +76,36 @@ def score(name: str, p_family: float, judged: bool = True, statistic: float = 30
 def choose(refits: Refits, *scores: Score, alpha: float = 0.05) -> Addition | None:
     at = cast(NestedFit, refits.refit(()))
     return next_addition(cast(Nest, refits), at, scores, alpha)
+
+
+def limit(p_family: float, statistic: float) -> Score:
+    """The score of an effect with a threshold."""
+    return replace(score("limit", p_family, statistic=statistic), threshold=True)
+
+
+def test_a_plain_gain_names_what_block_scores_cannot_see():
+    """0.1 per sample of 1000, in twice the log likelihood."""
+    refits = Refits({(): 1000.0, ("limit",): 500.0, ("drag",): 900.0})
+    found = choose(refits, limit(0.8, 300.0), score("drag", 0.001))
+    assert found is not None
+    assert found.effects == ("limit",)
+    assert found.p_value < 1e-10
+    small = Refits({(): 1000.0, ("limit",): 850.0, ("drag",): 900.0})
+    found = choose(small, limit(0.8, 300.0), score("drag", 0.001))
+    assert found is not None
+    assert found.effects == ("drag",)
+    assert choose(Refits({(): 1000.0, ("limit",): 500.0}), limit(0.8, 150.0)) is None
+    assert choose(Refits({(): 1000.0, ("limit",): 500.0}), score("limit", 0.8, statistic=300.0)) is None
+
+
+def test_a_late_command_contends_whatever_its_score():
+    refits = Refits({(): 1000.0, ("command_delay",): 300.0})
+    others = [score(n, 0.001, statistic=500.0) for n in "abcde"]
+    found = choose(refits, *others, score("command_delay", 0.001, statistic=40.0))
+    assert found is not None
+    assert found.effects == ("command_delay",)
+    assert ("e",) not in refits.asked
+    assert choose(Refits({(): 1000.0, ("e",): 300.0}), *others) is None
 
 
 def test_the_best_refit_wins_whatever_the_rank_of_its_score():
@@ -223,6 +259,7 @@ class Likely:
     evidence: float
     effects: tuple[str, ...] = ()
     n_parameters: int = 5
+    fit: Any = field(default_factory=lambda: SimpleNamespace(n_samples=1000))
 
     @property
     def bic(self) -> float:
