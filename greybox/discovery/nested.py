@@ -33,7 +33,9 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, Value, few_samples, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
+from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
+from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.model.sensor_noise import SensorNoise
 from greybox.symbolic import CASADI, FloatArray
@@ -191,6 +193,12 @@ def _unknowns(found: NestedFit, free: Iterable[str]) -> dict[Key, float]:
     return {(u.name, u.flight): float(t) for u, t in pairs if u.kind != "parameter" or u.name in wanted}
 
 
+def _levels(found: IdentifiedModel, model: Dynamics) -> dict[str, float]:
+    """Noise levels of a fit that the `model` has, too: a search may go on without the filter that an earlier fit had."""
+    there = {f"noise.process.{n}" for n in model.noises.names} | {f"noise.sensor.{n}" for n in model.innovations.names}
+    return {n: v for n, v in noise_of(found).items() if n in there}
+
+
 def _canonical(model: Any) -> Any:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
     if isinstance(model, SensorNoise):
@@ -285,7 +293,7 @@ class Nest:
         choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in declared)}
         return Task(
             effects=chosen, model=model, free=free, values=values, choices=choices, starts=tuple(starts),
-            noise=self.noise if start is None else noise_of(start.fit.model), marginal=bool(self.candidates.moving),
+            noise=self.noise if start is None else _levels(start.fit.model, model), marginal=bool(self.candidates.moving),
         )  # fmt: skip
 
     def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
