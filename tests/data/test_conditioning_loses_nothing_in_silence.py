@@ -109,7 +109,7 @@ def test_gaps_end_segments_and_max_gap_decides():
 def test_resampling_an_irregular_clock_reproduces_slow_signals(seed):
     rng = np.random.default_rng(seed)
     steps = rng.uniform(0.8e-3, 1.2e-3, 3000)
-    t = np.cumsum(steps * 1e-3 / np.median(steps))
+    t = np.cumsum(steps * 1e-3 / steps[1:].mean())
     u = np.repeat(rng.uniform(0.2, 0.8, 30), 100)
     flight = condition(raw_log(t, u1=u, p=np.sin(20 * t)), trim=False)
     (segment,) = flight.segments
