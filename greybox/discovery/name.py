@@ -24,8 +24,10 @@ SHORT = 0.25
 """Part of a sample below which lag and delay of the command are not told apart: all that is seen is which command a sample
 still felt, and that is as much a matter of how the log was written."""
 PLAIN = 0.1
-"""Log likelihood per sample by which an effect with a threshold must raise the fit where the test of block scores does not
-see it: such an effect is felt in a few bursts, and that statistic cannot exceed the number of blocks it is felt in."""
+"""Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
+as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold
+must gain that much where the test of block scores does not see it: it is felt in a few bursts, and that statistic cannot
+exceed the number of blocks it is felt in."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 

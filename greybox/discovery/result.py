@@ -101,12 +101,11 @@ class Discovery:
         """Effects that are the same thing together, where these logs have the sensors that they speak of and they may be of
         that `size`."""
         same = [e for n in IN_OTHER_WORDS.get(name, ()) for e in CATALOGUE if e.name == n]
-        sensors = {s.name for s in self.model.physics.sensors}
-        needed = [n for e in same for n in (e.needs.sensors, e.needs.other_sensors) if n]
-        meant = [bool(set(n) & sensors) for n in needed]
-        small = [size <= d.upper for e in same for d in e.parameters(self.model.physics.vehicle)]
+        physics = self.model.physics
+        there = not any(e.missing(physics.vehicle, {s.name for s in physics.sensors}) for e in same)
+        small = all(size <= d.upper for e in same for d in e.parameters(physics.vehicle))
         known = {e.name for e in self.final_effects} & {e.name for e in same}
-        return ["+".join(e.name for e in same)] if same and all(meant) and all(small) and not known else []
+        return ["+".join(e.name for e in same)] if same and there and small and not known else []
 
     @property
     def final_effects(self) -> tuple[Effect, ...]:

@@ -27,7 +27,7 @@ from greybox.data import Dataset
 from greybox.discovery.candidates import TOGETHER
 from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
-from greybox.discovery.name import CLEAR
+from greybox.discovery.name import CLEAR, PLAIN
 from greybox.discovery.nested import NestedFit
 from greybox.discovery.velocity import has_velocity
 from greybox.errors import GreyboxError
@@ -48,9 +48,6 @@ CONTRADICTED = -2.0
 hardly excites the effect may lose a little by the other parameters alone."""
 NOTHING = 1e-3
 """Relative change of the mean square ahead below which an effect adds nothing, unless that is clear."""
-PLAIN = 0.1
-"""Log likelihood per sample gained one step ahead on held-out flights above which the errors further ahead are not asked:
-as long as much else is missing they are those of the rest, and a right addition may raise them."""
 LEFT = 0.5
 """Share of the effect's own variance on an axis that a law of the leftover may have at most."""
 LATE = frozenset(n for pair in TOGETHER for n in pair)

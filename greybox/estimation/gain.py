@@ -15,7 +15,6 @@ finite without touching the gain of what is seen.
 from __future__ import annotations
 
 import copy
-import functools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import FitError
-from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import lost_bits
+from greybox.estimation.reference_point import Fixed, ReferenceStep, once_per_model, unchanging
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -35,35 +34,22 @@ from greybox.symbolic import CASADI, FloatArray
 class Linearisation:
     """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active parameters.
 
-    `fixed` (n_x entries or none): the values of state entries that never change, None where one does. Zeros and ones
-    among them make the expressions, their construction and their evaluation smaller.
+    `fixed` as in `ReferenceStep`.
     """
 
-    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...] = ()) -> None:
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
         with CASADI:
             self._build(dynamics, active, fixed)
 
-    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> None:
-        s = symbols(dynamics)
-        x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
-        names = [q.name for q in dynamics.parameters]
-        chosen = [names.index(a) for a in active]
-        after = dynamics.step(0, x, u, p, w, dt)
-        y_hat = dynamics.output(0, x, u, p, w, dt)
-        quiet = ca.DM.zeros(len(dynamics.noises))
-        into, out = chart_jacobians(dynamics, x, after)
-        y = ca.SX.sym("y", y_hat.numel())
-        e = dynamics.innovation(y, y_hat, x)
-        # At the reference the measured value equals the prediction.
-        at = {"A": out @ ca.jacobian(after, x) @ into, "G": out @ ca.jacobian(after, w)}
-        at |= {"C": -(ca.jacobian(e, x) @ into), "D": -ca.jacobian(e, w)}
-        point = ca.vertcat(*(x[i] if v is None else v for i, v in enumerate(fixed))) if fixed else x
-        parts = ca.substitute(ca.substitute(list(at.values()), [y], [y_hat]), [x, w], [point, quiet])
+    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
+        at = ReferenceStep(dynamics, fixed)
+        a = at.out @ ca.jacobian(at.after, at.x) @ at.into
+        g = at.out @ ca.jacobian(at.after, at.w)
+        c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
+        parts = at.at_rest([a, g, c, d])
         self._shapes = [v.shape for v in parts]
         stacked = ca.vertcat(*(ca.densify(ca.vec(v)) for v in parts))
-        slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
-        self._function = ca.Function("linearisation", [x, u, p, dt], [stacked, slopes])
-        self._value_only = ca.Function("linearisation_value", [x, u, p, dt], [stacked])
+        self._function, self._value_only = at.functions("linearisation", stacked, active)
         self._columns: npt.NDArray[np.int_] | None = None
 
     def select(self, columns: npt.NDArray[np.int_]) -> Linearisation:
@@ -99,9 +85,7 @@ class Linearisation:
         return tuple(out)
 
 
-@functools.lru_cache(maxsize=64)
-def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> Linearisation:
-    return Linearisation(dynamics, active, fixed)
+_built = once_per_model(Linearisation)
 
 
 def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray) -> Linearisation:
@@ -109,11 +93,7 @@ def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray,
 
     `other` is the same kind of state from other data: where both agree the entry counts as fixed.
     """
-    fixed = tuple(float(a) if a == b else None for a, b in zip(x, other, strict=True))
-    try:
-        return _cached(dynamics, tuple(active), fixed)  # type: ignore[arg-type]
-    except TypeError:  # a model that cannot be hashed
-        return Linearisation(dynamics, tuple(active), fixed)
+    return _built(dynamics, tuple(active), unchanging(x, other))
 
 
 @dataclass(frozen=True, kw_only=True)

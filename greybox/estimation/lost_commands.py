@@ -26,8 +26,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.record import REACH, Record
+from greybox.estimation.reference_point import Fixed, ReferenceStep, once_per_model, unchanging
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -77,34 +77,22 @@ class Pushes:
 class LostCommands:
     """Derivatives of step and sample in every command that they look at, at one state, as functions of the parameters.
 
-    `fixed` as in `greybox.estimation.gain.Linearisation`.
+    `fixed` as in `ReferenceStep`.
     """
 
-    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...] = ()) -> None:
+    def __init__(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed = ()) -> None:
         with CASADI:
             self._build(dynamics, active, fixed)
 
-    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> None:
-        s = symbols(dynamics)
-        x, u, p, w, dt = s["x"], s["U"], s["p"], s["w"], s["dt"]
-        names = [q.name for q in dynamics.parameters]
-        chosen = [names.index(a) for a in active]
-        after = dynamics.step(0, x, u, p, w, dt)
-        y_hat = dynamics.output(0, x, u, p, w, dt)
-        _, out = chart_jacobians(dynamics, x, after)
-        y = ca.SX.sym("y", y_hat.numel())
-        e = dynamics.innovation(y, y_hat, x)
-        parts = [out @ ca.jacobian(after, ca.vec(u)), -ca.jacobian(e, ca.vec(u))]
-        point = ca.vertcat(*(x[i] if v is None else v for i, v in enumerate(fixed))) if fixed else x
-        quiet = ca.DM.zeros(len(dynamics.noises))
-        parts = ca.substitute(ca.substitute(parts, [y], [y_hat]), [x, w], [point, quiet])
+    def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
+        at = ReferenceStep(dynamics, fixed)
+        commands = ca.vec(at.window)
+        parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
         parts = [ca.sparsify(v) for v in parts]
         self._shapes = [v.shape for v in parts]
         self._places = [tuple(np.array(i, dtype=np.intp) for i in v.sparsity().get_triplet()) for v in parts]
         stacked = ca.vertcat(*(v.nz[:] for v in parts))
-        slopes = ca.jacobian(stacked, p)[:, chosen] if chosen else ca.SX(stacked.numel(), 0)
-        self._function = ca.Function("pushes", [x, u, p, dt], [stacked, ca.densify(slopes)])
-        self._value_only = ca.Function("pushes_value", [x, u, p, dt], [stacked])
+        self._function, self._value_only = at.functions("pushes", stacked, active)
         self._now = dynamics.window[0]
         self._slow = [n == "vbat" for n in dynamics.inputs.names]
 
@@ -142,9 +130,7 @@ class LostCommands:
         return made
 
 
-@functools.lru_cache(maxsize=64)
-def _cached(dynamics: Dynamics, active: tuple[str, ...], fixed: tuple[float | None, ...]) -> LostCommands:
-    return LostCommands(dynamics, active, fixed)
+_built = once_per_model(LostCommands)
 
 
 def lost_commands(
@@ -152,11 +138,7 @@ def lost_commands(
 ) -> LostCommands:
     """`LostCommands`, built once per process; for the state `x` where another such state is known (`other` as in
     `greybox.estimation.gain.linearisation_at`)."""
-    fixed = tuple(float(a) if a == b else None for a, b in zip(x, other, strict=True))
-    try:
-        return _cached(dynamics, tuple(active), fixed)  # type: ignore[arg-type]
-    except TypeError:  # a model that cannot be hashed
-        return LostCommands(dynamics, tuple(active), fixed)
+    return _built(dynamics, tuple(active), unchanging(x, other))
 
 
 def any_lost(records: Iterable[Record]) -> bool:
