@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.fit import names
+
+WITH_LAWS = "model_with_laws.json"
 
 
 def add(subparsers: Any) -> None:
@@ -65,9 +68,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    out = Path(arguments.out)
+    for path in map(Path, arguments.effects_file):
+        if path.resolve().parent == out.resolve() and re.fullmatch(r"proposal_\d+\.py", path.name):
+            raise GreyboxError(
+                f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
+            )
     vehicle = read_vehicle(arguments.vehicle)
     own = [e for path in arguments.effects_file for e in load_effects(path)]
-    out = Path(arguments.out)
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
@@ -79,6 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
             found.model.save(out / "model.json")
         for name, text in found.proposals().items():
             write_atomic(out / name, text)
+        if found.lawful is not None:
+            found.lawful.save(out / WITH_LAWS)
+        else:
+            (out / WITH_LAWS).unlink(missing_ok=True)  # of an earlier search
 
     def page() -> None:
         write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
@@ -117,6 +129,10 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, content)
     if not quiet:
         print(found.summary())
-        kept = "discovery.json, model.json" if found.fit is not None else "discovery.json"
-        print(f"wrote {kept} and report.html in {out}")
+        kept = ["discovery.json", *(["model.json"] if found.fit is not None else [])]
+        if found.lawful is not None:
+            laws = " ".join(str(out / name) for name in found.proposals())
+            kept += [WITH_LAWS, *found.proposals()]
+            print(f"what the laws leave: greybox learn {out / WITH_LAWS} --effects-file {laws} --train ...")
+        print(f"wrote {', '.join(kept)} and report.html in {out}")
     return 0

@@ -31,7 +31,8 @@ SCHEMA = "greybox.discovery/1"
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discovery:
     """What was found: `verdict` ("bad_data", "named", "ambiguous", "unnamed" or "nothing_missing"), the additions in
-    order, what is left, and how far the gap closed. `fit` is the last one on the model that holds only what was added."""
+    order, what is left, and how far the gap closed. `fit` is the last one on the model that holds only what was added;
+    `lawful` is the `model` with the laws of the leftover as well, effects of the files of `proposals` (None without one)."""
 
     verdict: str
     additions: tuple[Addition, ...] = ()
@@ -57,6 +58,7 @@ class Discovery:
     sensors: tuple[Mapping[str, Any], ...] = ()
     plain: IdentifiedModel | None = None
     stability: tuple[Stability, ...] = ()
+    lawful: IdentifiedModel | None = None
 
     @property
     def model(self) -> IdentifiedModel:

@@ -42,6 +42,7 @@ from greybox.discovery.stability import stability
 from greybox.discovery.velocity import drifts
 from greybox.discovery.verify import gap_rows, verified
 from greybox.discovery.veto import HeldOut, Withheld, unseen
+from greybox.discovery.written import lawful_model, names_of
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
@@ -194,6 +195,7 @@ def discover(
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
         withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),
         plain=plain_model(at.fit, train), stability=tuple(steady),
+        lawful=None if last.written is None else lawful_model(last.written, leftover, names_of(at.fit), train),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 

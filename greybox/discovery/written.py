@@ -14,8 +14,10 @@ from greybox.data import Dataset
 from greybox.discovery.leftover import STRONG, TERMS, Leftover, Promoted, promote
 from greybox.discovery.name import CLEAR
 from greybox.discovery.proposal import effect_name, proposed
+from greybox.discovery.sensor_noise import plain_model
 from greybox.discovery.terms import Memory
 from greybox.estimation.fit import Fit, fit, noise_of
+from greybox.model.identified import IdentifiedModel
 
 LOOKS = 2
 """How often the leftover of written laws is looked at again, at most."""
@@ -74,6 +76,15 @@ def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 
     if best is not None:
         leftover = replace(leftover, axes=tuple(fitted(a, best, names_of(found)) for a in leftover.axes))
     return Looked(first=first, leftover=leftover, written=best)
+
+
+def lawful_model(written: Fit, leftover: Promoted, taken: Collection[str], train: Dataset) -> IdentifiedModel:
+    """The model of `written`, the fit with the laws of the `leftover` next to the effects `taken`, its sensors white and its
+    laws read from the files that hold its numbers: a model file goes with the files beside it."""
+    plain = plain_model(written, train)
+    physics: Any = plain.dynamics
+    own = [n for n in names_of(written) if n not in taken]
+    return replace(plain, dynamics=physics.without_effect(*own).with_effect(*proposed(leftover.laws, taken)))
 
 
 def names_of(found: Fit) -> tuple[str, ...]:

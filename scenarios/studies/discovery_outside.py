@@ -1,7 +1,6 @@
 """What discover says about effects that its catalogue does not have, and about known families in another form.
 
-    python -m scenarios.studies.discovery_outside [--seeds 1001 1002] [--only magnet,wall] [--out F.jsonl] [--report]
-    python -m scenarios.studies.discovery_outside --learn --out F.jsonl
+    python -m scenarios.studies.discovery_outside [--seeds 1001 1002] [--only magnet,wall] [--learn] [--report] [--out F]
 
 Five of the effects were invented by somebody who did not know the search (`UNSEEN`).
 
@@ -15,8 +14,8 @@ case one line in the file as soon as it is done, so that a study that was stoppe
     closed     share of the gap 0.5 s ahead on the test flight that names and proposals closed together, in the group of
                channels that the effect moves most: that whose error is largest against the one of the same vehicle
                without the effect, which is the least that a model can reach
-    learned    the same share for the names and, instead of written laws, a Gaussian process that learned what they leave
-               (`greybox learn`, extra gp), for every row of the file that has none yet; its rows go to F.learned.jsonl
+    learned    with --learn: the same share with a Gaussian process that learned what names and written laws leave
+               (`greybox learn model_with_laws.json`, extra gp)
 """
 
 from __future__ import annotations
@@ -106,21 +105,14 @@ def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
     return ahead(HeldOut(test), nest.refit(()))
 
 
-def learned(row: Mapping[str, Any], seconds: float = 16.0) -> dict[str, Any]:
-    """Group -> RMSE half a second ahead on the test flight of the row's names with what was learned of the rest."""
+def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[str, Any]:
+    """Group -> RMSE half a second ahead on `test` of what was found, laws included, with what was learned of the rest."""
     from greybox.residual.learn import learn
 
-    case, first = CASES[row["case"]], 1000 * row["seed"]
-    plant = x250([case.hidden])
-    train = led(flights(plant, (first + 1, first + 2), seconds, "train"))
-    nest = Nest(candidates=candidates(vehicle_of(x250()), train.channels, sample_time=0.01), data=train)
-    result = learn(nest.refit(row["names"]).fit.model, train, seed=row["seed"])
-    errors = squares(result.model, flights(plant, (first + 101,), seconds, "test"))[0]
+    result = learn(found.lawful or found.model, train, seed=seed)
+    errors = squares(result.model, test)[0]
     rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
-    return {
-        "case": row["case"], "seed": row["seed"], "rmse": rmse, "chosen": None if result.null else result.chosen,
-        "seconds": result.seconds,
-    }  # fmt: skip
+    return {"rmse": rmse, "chosen": None if result.null else result.chosen, "seconds": result.seconds}
 
 
 def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tuple[str, float] | None:
@@ -134,9 +126,10 @@ def affected(gap: Sequence[Mapping[str, Any]], least: Mapping[str, float]) -> tu
     return row["group"], gained / (row["before"] ** 2 - least[row["group"]] ** 2)
 
 
-def by_learning(row: Mapping[str, Any], rmse: Mapping[str, float], least: Mapping[str, float]) -> float | None:
-    """`affected` for errors with a learned part."""
+def by_learning(row: Mapping[str, Any], least: Mapping[str, float]) -> float | None:
+    """`affected` for the errors with a learned rest; None for a row without."""
     group = (affected(row["gap"], least) or (None,))[0]
+    rmse = row.get("learned", {}).get("rmse", {})
     if group is None or group not in rmse:
         return None
     before = next(r["before"] for r in row["gap"] if r["group"] == group)
@@ -160,24 +153,23 @@ def judge(found: Discovery, case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def run(name: str, seed: int, seconds: float = 16.0) -> dict[str, Any]:
-    """One case."""
+def run(name: str, seed: int, seconds: float = 16.0, *, learn: bool = False) -> dict[str, Any]:
+    """One case; with what is left learned, if asked."""
     case = CASES[name]
     plant = x250([case.hidden])
     first = 1000 * seed
-    found = discover(
-        vehicle_of(x250()), flights(plant, (first + 1, first + 2), seconds, "train"),
-        flights(plant, (first + 101,), seconds, "test"), seed=seed,
-    )  # fmt: skip
-    return {"case": name, "seed": seed, **judge(found, case)}
+    train = flights(plant, (first + 1, first + 2), seconds, "train")
+    test = flights(plant, (first + 101,), seconds, "test")
+    found = discover(vehicle_of(x250()), train, test, seed=seed)
+    row = {"case": name, "seed": seed, **judge(found, case)}
+    return row | {"learned": learned(found, train, test, seed)} if learn else row
 
 
-def report(rows: Sequence[dict[str, Any]], taught: Sequence[dict[str, Any]] = ()) -> str:
-    """Rates per case and over all; `taught`: what `learned` gave."""
-    rmse = {(t["case"], t["seed"]): t["rmse"] for t in taught}
+def report(rows: Sequence[dict[str, Any]]) -> str:
+    """Rates per case and over all."""
     lines = [
         f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} {'closed: median, worst':>22s}"
-        f"{'learned instead':>17s} {'the better':>15s}"
+        f"{'with a learned rest':>21s}"
     ]
     for name in [*CASES, "outside", "relatives", "unseen", "all"]:
         own = [
@@ -191,20 +183,11 @@ def report(rows: Sequence[dict[str, Any]], taught: Sequence[dict[str, Any]] = ()
         ]
         if not own:
             continue
-        named, other, best = [], [], []
-        for r in own:
-            found = affected(r["gap"], least(r["seed"]))
-            if found is None:
-                continue
-            named.append(found[1])
-            if (r["case"], r["seed"]) in rmse:
-                share = by_learning(r, rmse[r["case"], r["seed"]], least(r["seed"]))
-                if share is not None:
-                    other.append(share)
-                    best.append(max(share, found[1]))
+        named = [a[1] for r in own if (a := affected(r["gap"], least(r["seed"]))) is not None]
+        taught = [s for r in own if (s := by_learning(r, least(r["seed"]))) is not None]
         lines.append(
             f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} {sum(bool(r['flagged']) for r in own):8d} "
-            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(other):>17s} {_spread(best):>15s}"
+            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>21s}"
         )
     return "\n".join(lines)
 
@@ -221,26 +204,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", default=None, help="comma-separated cases")
     parser.add_argument("--out", default="discovery_outside.jsonl")
     parser.add_argument("--report", action="store_true", help="only print the table of the file")
-    parser.add_argument("--learn", action="store_true", help="learn what the names of the file's rows leave (extra gp)")
+    parser.add_argument("--learn", action="store_true", help="also learn what names and laws leave (extra gp)")
     options = parser.parse_args(arguments)
     path = Path(options.out)
     rows = read_rows(path)
     done = {(r["case"], r["seed"]) for r in rows}
     wanted = options.only.split(",") if options.only else list(CASES)
-    other = path.with_suffix(".learned.jsonl")
-    taught = read_rows(other)
-    for row in rows if options.learn else ():
-        if row["case"] not in wanted or any((t["case"], t["seed"]) == (row["case"], row["seed"]) for t in taught):
-            continue
-        taught.append(learned(row))
-        append_row(other, taught[-1])
-        share = by_learning(row, taught[-1]["rmse"], least(row["seed"]))
-        print(f"{row['seed']:5d} {row['case']:18s} learned: {share if share is None else round(share, 3)}", flush=True)
-    for seed in () if options.report or options.learn else options.seeds:
+    for seed in () if options.report else options.seeds:
         for name in wanted:
             if (name, seed) in done:
                 continue
-            row = run(name, seed)
+            row = run(name, seed, learn=options.learn)
             rows.append(row)
             append_row(path, row)
             laws = "; ".join(u["proposal"] or u["channel"] for u in row["unnamed"])
@@ -249,7 +223,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"({row['seconds']:.0f} s)",
                 flush=True,
             )
-    print(report(rows, taught))
+    print(report(rows))
 
 
 if __name__ == "__main__":

@@ -82,6 +82,43 @@ def test_an_own_effect_is_named_and_everything_is_written(
         assert text in page
 
 
+def test_laws_come_with_a_model_that_has_them(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """Of a search with nothing to name: the model loads with the files beside it, and other commands take both."""
+    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    out = tmp_path / "found"
+    assert main([*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    laws = sorted(out.glob("proposal_*.py"))
+    assert laws
+    assert all(law.name in said for law in laws)
+    assert f"greybox learn {out / 'model_with_laws.json'}" in said
+    model = IdentifiedModel.load(out / "model_with_laws.json", effects=[e for law in laws for e in load_effects(law)])
+    assert sum(n.startswith("proposal_") for n in model.effects) == len(laws)
+    assert any(e["proposal"] for e in valid(out / "discovery.json")["unnamed"])
+    before, after = (
+        ["validate", str(out / name), "--log", str(files / "c.csv"), "--horizons", "10", "--json", str(tmp_path / name)]
+        for name in ("model.json", "model_with_laws.json")
+    )
+    assert main(before) == 0
+    assert main([*after, "--effects-file", *map(str, laws)]) == 0
+
+    def error(name: str) -> float:
+        (row,) = json.loads((tmp_path / name).read_text())["horizons"]
+        return float(row["groups"]["rate"]["rmse"])
+
+    assert error("model_with_laws.json") < 0.7 * error("model.json")
+    # A search into the same folder would write over laws that were edited there.
+    again = command(files, "--train", "a.csv", "--effects-file", str(laws[0]), "--out", str(out))
+    capsys.readouterr()
+    assert main(again) == 2
+    assert "may write over it" in capsys.readouterr().err
+    # One that finds no law does not leave the model of an earlier one.
+    assert main(command(files, "--train", "swapped.csv", "--out", str(out))) == 0
+    assert not (out / "model_with_laws.json").exists()
+
+
 def test_an_interruption_keeps_what_was_found(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

@@ -71,8 +71,10 @@ def test_the_share_is_of_what_the_effect_adds_to_the_least_error():
     ]
     assert affected(rows, least) == ("position", pytest.approx(0.6 * (4 - 0.25) / (4 - 1)))
     assert affected(rows[1:2], least) is None
-    assert by_learning({"gap": rows}, {"position": 1.2}, least) == pytest.approx((4 - 1.44) / (4 - 1))
-    assert by_learning({"gap": rows[1:2]}, {"rate": 0.5}, least) is None
+    taught = {"learned": {"rmse": {"position": 1.2, "rate": 0.5}}}
+    assert by_learning({"gap": rows, **taught}, least) == pytest.approx((4 - 1.44) / (4 - 1))
+    assert by_learning({"gap": rows[1:2], **taught}, least) is None
+    assert by_learning({"gap": rows}, least) is None
 
 
 def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
@@ -84,7 +86,7 @@ def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
         ["wall", "1", "0"], ["power_drag", "1", "1"], ["outside", "1", "0"], ["relatives", "1", "1"], ["all", "2", "1"],
     ]  # fmt: skip
     assert all("0.667, 0.667" in line for line in text.splitlines()[1:])
-    taught = [{"case": "wall", "seed": 1, "rmse": {"position": 1.0}}]
-    lines = report([row, {**row, "case": "power_drag"}], taught).splitlines()
-    assert lines[1].split()[-4:] == ["1.000,", "1.000", "1.000,", "1.000"]
-    assert lines[2].split()[-2:] == ["-", "-"]
+    taught = {"learned": {"rmse": {"position": 1.0}}}
+    lines = report([{**row, **taught}, {**row, "case": "power_drag"}]).splitlines()
+    assert lines[1].split()[-2:] == ["1.000,", "1.000"]
+    assert lines[2].split()[-1] == "-"
