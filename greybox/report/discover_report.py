@@ -418,11 +418,19 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
         texts += [f"Fly what tells the candidates apart: {m['text']}." for m in told]
         if len(told) < len(content["ambiguous"]):
             texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
-    if content["unnamed"]:
+    files = [u["file"] for u in content["unnamed"] if u.get("file")]
+    if files:
         texts.append(
             "The laws that were found are proposals, written as effect files beside this page: edit what makes sense "
-            "(docs/own_effect.md) and run again with --effects-file proposal_1.py, or let greybox learn take what is left."
+            "(docs/own_effect.md) and run again with --effects-file proposal_1.py."
         )
+        texts.append(
+            "What they leave can be learned: greybox learn model_with_laws.json --train LOGS --effects-file "
+            + " ".join(files)
+        )
+    elif content["unnamed"]:
+        axes = _list([u["channel"] for u in content["unnamed"]])
+        texts.append(f"No law was found for {axes}: greybox learn model.json --train LOGS learns what is left there.")
     after = content["deficiency"]["after"]
     if after is not None and after > CLEAR and not content["unnamed"]:
         texts.append(

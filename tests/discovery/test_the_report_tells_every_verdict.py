@@ -45,7 +45,7 @@ def content(verdict: str = "named") -> dict[str, Any]:
     return {
         "schema": "greybox.discovery/1", "verdict": verdict, "effects": [effect] if named else [], "omega_known": True,
         "ambiguous": [group] if verdict == "ambiguous" else [],
-        "unnamed": [axis | {"channel": "force.x"}] if verdict == "unnamed" else [],
+        "unnamed": [axis | {"channel": "force.x", "file": "proposal_1.py"}] if verdict == "unnamed" else [],
         "locations": [
             axis | {"channel": a, "unit": "N" if a[0] == "f" else "N m", "rms_after": 0.01} for a in AXES
         ] if searched else [],
@@ -160,6 +160,15 @@ def test_the_attainable_line_and_the_proposals_stand_in_the_gap_table_when_they_
     for text in ("closed with the proposed laws", "83 %", "closed by a learned part alone", "71 %"):
         assert text in page
     assert "learned part alone" not in discover_report(content("unnamed"))
+
+
+def test_the_way_on_from_what_has_no_name_is_a_command():
+    given = content("unnamed")
+    page = discover_report(given)
+    assert "model_with_laws.json --train LOGS --effects-file proposal_1.py" in page
+    assert "No law was found" not in page
+    given["unnamed"] = [u | {"file": None} for u in given["unnamed"]]
+    assert "No law was found for force.x: greybox learn model.json" in discover_report(given)
 
 
 def test_the_map_of_regimes_is_drawn_where_something_is_missing():
