@@ -57,6 +57,15 @@ TESTS: tuple[Reference, ...] = (FigureEight(climb=0.3, yaw_rate=0.4), Circle(cli
 SIZES = {"large": 1.0, "medium": 0.25, "near": 0.08}
 LARGEST = 4.0
 """No effect is made larger than this many times the size at which it matters in flight."""
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "full": ("omega",),
+    "rotors": (),
+    "pose": ("omega", "vx", "vy", "vz"),
+    "mocap": ("omega", "p", "q", "r", "ax", "ay", "az"),
+    "attitude": ("omega", "x", "y", "z", "vx", "vy", "vz"),
+    "imu": ("omega", "x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz"),
+}
+"""What a log lacks: rotor speeds, nothing, velocity, the IMU, position and velocity, all but gyro and accelerometer."""
 PAIRS = (
     ("motor_lag", "rotor_drag"), ("steady_wind", "rotor_drag"), ("battery_sag", "rotor_drag"),
     ("blade_flapping", "rotational_damping"), ("center_of_mass_offset", "rotor_asymmetry"),
@@ -76,7 +85,7 @@ FIVES = (
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     """`hidden` effects at a `size` (a name of `SIZES`, or "flight": where it matters in flight), nominal values "exact" or
-    "off", sensor `noise` "white" or "coloured", `columns` "full" or "imu" (IMU and commands only)."""
+    "off", sensor `noise` "white" or "coloured", `columns` one of `COLUMNS`, `rate` [Hz] of controller and log."""
 
     vehicle: str = "x250"
     hidden: tuple[str, ...] = ()
@@ -85,6 +94,7 @@ class Cell:
     noise: str = "white"
     columns: str = "full"
     seconds: float = 16.0
+    rate: float = 100.0
 
     @property
     def kind(self) -> str:
@@ -218,20 +228,21 @@ def logs(
     seconds: float,
     reference: Reference | None = None,
     gains: Gains | None = None,
+    rate: float = 100.0,
 ) -> list[dict[str, Any]]:
     """One log per seed, flown side by side."""
     log = fly(
-        plant, controller_for(plant, gains), reference or RandomWaypoints(), rich_excitation(), seconds, seed=list(seeds),
-        warm_up=1.0,
+        plant, controller_for(plant, gains), reference or RandomWaypoints(), rich_excitation(), seconds, 1 / rate,
+        seed=list(seeds), warm_up=1.0,
     )  # fmt: skip
     return [member(log, i) for i in range(len(seeds))]
 
 
-def dataset(columns: Sequence[dict[str, Any]], name: str) -> Dataset:
-    """Logs as a data set, without rotor speeds."""
+def dataset(columns: Sequence[dict[str, Any]], name: str, without: Sequence[str] = COLUMNS["full"]) -> Dataset:
+    """Logs as a data set, `without` columns of these names (or of these and a number)."""
     out: Dataset | None = None
     for i, log in enumerate(columns):
-        one = {k: v for k, v in log.items() if not k.startswith("omega")}
+        one = {k: v for k, v in log.items() if k.rstrip("0123456789") not in without}
         t = one.pop("t")
         single = dataset_from_arrays(t, one, name=f"{name}{i}")
         out = single if out is None else out + single
@@ -254,19 +265,15 @@ def flown(cell: Cell, seeds: Sequence[int]) -> Iterator[tuple[int, Quadrotor, fl
     for s in seeds:
         groups.setdefault((s // len(SIGNS) % len(GAINS), s % len(TESTS)), []).append(s)
     for (g, which), mine in groups.items():
-        train = logs(plant, [100 * s + k for s in mine for k in (1, 2)], cell.seconds, gains=GAINS[g])
-        test = logs(plant, [100 * s + 51 for s in mine], 0.5 * cell.seconds, TESTS[which], GAINS[g])
+        train = logs(plant, [100 * s + k for s in mine for k in (1, 2)], cell.seconds, None, GAINS[g], cell.rate)
+        test = logs(plant, [100 * s + 51 for s in mine], 0.5 * cell.seconds, TESTS[which], GAINS[g], cell.rate)
         for n, seed in enumerate(mine):
             three = [train[2 * n], train[2 * n + 1], test[n]]
             three = [_sensed(cell, plant, log, 100 * seed + i) for i, log in enumerate(three)]
-            yield seed, plant, size, dataset(three[:2], "train"), dataset(three[2:], "test")
+            without = COLUMNS[cell.columns]
+            yield seed, plant, size, dataset(three[:2], "train", without), dataset(three[2:], "test", without)
 
 
 def _sensed(cell: Cell, plant: Quadrotor, log: dict[str, Any], seed: int) -> dict[str, Any]:
     """The log as the cell's sensors give it."""
-    if cell.noise == "coloured":
-        log = realistic(log, plant.sensors, REALISTIC.only("colour"), seed)
-    if cell.columns == "imu":
-        kept = ("t", "vbat", "p", "q", "r", "ax", "ay", "az")
-        log = {k: v for k, v in log.items() if k in kept or (k[0] == "u" and k[1:].isdigit())}
-    return log
+    return realistic(log, plant.sensors, REALISTIC.only("colour"), seed) if cell.noise == "coloured" else log

@@ -33,6 +33,7 @@ from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
 from scenarios.studies.discovery_cells import (
+    COLUMNS,
     ERRORS,
     FIVES,
     MAKERS,
@@ -118,7 +119,7 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
 
 def planned(options: argparse.Namespace) -> list[Cell]:
     """The cells that the command line asks for."""
-    common = {"seconds": options.seconds, "noise": options.noise}
+    common = {"seconds": options.seconds, "noise": options.noise, "rate": options.rate}
     out = []
     for kind, vehicle, nom, columns in itertools.product(
         options.cells.split(","), options.vehicle.split(","), options.nominal.split(","), options.columns.split(",")
@@ -139,8 +140,8 @@ def _with(cell: Cell, **changes: Any) -> Cell:
 
 
 def _key(row: dict[str, Any]) -> str:
-    names = [*Cell().to_dict(), "seed"]
-    return json.dumps([row[n] for n in names])
+    # Rows of earlier studies do not say what had one value then.
+    return json.dumps([*(row.get(n, default) for n, default in Cell().to_dict().items()), row["seed"]])
 
 
 def _seeds(text: str) -> list[int]:
@@ -155,8 +156,8 @@ def _whole(cell: Cell, seeds: Sequence[int]) -> list[dict[str, Any]]:
 def _say(row: dict[str, Any]) -> None:
     names = ", ".join(row.get("effects", ())) or " | ".join(" or ".join(a) for a in row.get("ambiguous", ()))
     print(
-        f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['size']:6s} {row['seed']:5d} "
-        f"{'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} {names or row.get('verdict', row.get('error'))} "
+        f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['rate']:g} Hz {row['size']:6s} "
+        f"{row['seed']:5d} {'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} {names or row.get('verdict', row.get('error'))} "
         f"({row.get('took', 0):.0f} s)", flush=True,
     )  # fmt: skip
 
@@ -171,7 +172,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--vehicle", default="x250", help=", ".join(MAKERS))
     parser.add_argument("--nominal", default="off", help="exact, off")
     parser.add_argument("--noise", default="white", choices=("white", "coloured"))
-    parser.add_argument("--columns", default="full", help="full, imu")
+    parser.add_argument("--columns", default="full", help=", ".join(COLUMNS))
+    parser.add_argument("--rate", type=float, default=100.0, help="samples per second")
     parser.add_argument("--seconds", type=float, default=16.0)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--summary", action="store_true")

@@ -24,7 +24,7 @@ from scenarios.studies.rows import wilson
 Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
 FLIGHTS, RATE = 2, 100
-"""Training flights of a log, and their samples per second."""
+"""Training flights of a log, and their samples per second where a row does not say."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
 
@@ -35,7 +35,9 @@ def _share(hits: int, total: int) -> str:
 
 
 def _label(row: Row) -> tuple[str, ...]:
-    return row["kind"], row["size"], row["vehicle"], row["nominal"], row["noise"], row["columns"], f"{row['seconds']:g} s"
+    rate = row.get("rate", RATE)
+    length = f"{row['seconds']:g} s" + ("" if rate == RATE else f" at {rate:g} Hz")
+    return row["kind"], row["size"], row["vehicle"], row["nominal"], row["noise"], row["columns"], length
 
 
 def _grouped(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
@@ -262,7 +264,7 @@ def _power_figure(rows: Sequence[Row]) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     single = [r for r in rows if r["kind"] == "single" and r["in_noise"] and r["judged"] != "failed"]
     size = np.array([r["in_noise"] for r in single])
-    samples = np.array([FLIGHTS * r["seconds"] * RATE for r in single])
+    samples = np.array([FLIGHTS * r["seconds"] * r.get("rate", RATE) for r in single])
     _power_axes(left, single, size)
     left.set_xlabel("RMS change of the one-step errors, in their standard deviations", fontsize=8)
     left.set_ylabel("share of logs", fontsize=8)
