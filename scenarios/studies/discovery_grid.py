@@ -157,8 +157,8 @@ def _say(row: dict[str, Any]) -> None:
     names = ", ".join(row.get("effects", ())) or " | ".join(" or ".join(a) for a in row.get("ambiguous", ()))
     print(
         f"{row['vehicle']} {row['nominal']} {row['noise']} {row['columns']} {row['rate']:g} Hz {row['size']:6s} "
-        f"{row['seed']:5d} {'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} {names or row.get('verdict', row.get('error'))} "
-        f"({row.get('took', 0):.0f} s)", flush=True,
+        f"{row['seed']:5d} {'+'.join(row['hidden']) or 'clean':26s} {row['judged']:7s} "
+        f"{names or row.get('verdict', row.get('error'))} ({row.get('took', 0):.0f} s)", flush=True,
     )  # fmt: skip
 
 
