@@ -25,6 +25,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
+    p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
+                   "what it teaches holds in this room only")  # fmt: skip
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py", help="effects of your own in the model")
@@ -65,7 +67,11 @@ def run(arguments: argparse.Namespace) -> int:
             raise GreyboxError(
                 "--points takes a number above zero or auto", got=repr(arguments.points), fix="--points 50"
             )
+    if arguments.place and arguments.inputs:
+        raise GreyboxError("--place competes with other sets, --inputs is the only one", fix="one of the two")
     if is_linear(arguments.model):
+        if arguments.place:
+            raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
         return run_output(arguments)
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
@@ -88,8 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
     learned = learn(
-        model, train, features=names, kernel=arguments.kernel, points=points, seed=arguments.seed, progress=progress
-    )
+        model, train, features=names, place=arguments.place, kernel=arguments.kernel, points=points, seed=arguments.seed,
+        progress=progress,
+    )  # fmt: skip
     content = learned.to_dict()
     content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["learn"] else "greybox learn"
     unseen = sorted(set(model.trained_on) - set(train.names))

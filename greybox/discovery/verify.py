@@ -20,6 +20,7 @@ from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, mi
 from greybox.discovery.written import Looked, looked_again
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
+from greybox.model.identified import IdentifiedModel
 
 MOST = 0.5
 """Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing
@@ -136,13 +137,14 @@ def _replaced(
 
 
 def gap_rows(
-    null: NestedFit, last: NestedFit, extended: Fit | None, train: Dataset, judge: HeldOut, *, attainable: bool, seed: int,
-    say: Callable[[str], None], notes: list[str],
+    null: NestedFit, after: IdentifiedModel, extended: IdentifiedModel | None, train: Dataset, judge: HeldOut, *,
+    attainable: bool, seed: int, say: Callable[[str], None], notes: list[str],
 ) -> tuple[GapRow, ...]:  # fmt: skip
-    """The gap table on the flights of `judge`; what could not be computed is said in `notes`."""
+    """The gap table on the flights of `judge`, of the models that are handed out: both with white sensors, as the one before
+    has them. What could not be computed is said in `notes`."""
     judged, adapt = judge.data, judge.adapt
     try:
-        before, after = ((seen.own, seen.floor) for seen in (judge.foresight(null), judge.foresight(last)))
+        before, reached = ((seen.own, seen.floor) for seen in (judge.foresight(null), judge.of(after)))
     except GreyboxError as error:
         notes.append(f"no gap table: {error}")
         return ()
@@ -150,7 +152,7 @@ def gap_rows(
     learned: Squares | None = None
     if extended is not None:
         try:
-            proposed_laws = squares(extended.model, judged, adapt=adapt)[0]
+            proposed_laws = judge.of(extended).own
         except GreyboxError as error:
             notes.append(f"the proposed laws could not be judged: {error}")
     if attainable:
@@ -159,7 +161,7 @@ def gap_rows(
             learned = _learned(null.fit, train, judged, adapt=adapt, seed=seed)
         except GreyboxError as error:
             notes.append(f"no attainable line: {error}")
-    return tuple(gap(before, after, proposals=proposed_laws, attainable=learned, seed=seed))
+    return tuple(gap(before, reached, proposals=proposed_laws, attainable=learned, seed=seed))
 
 
 def _learned(null: Fit, train: Dataset, judged: Dataset, *, adapt: float | None, seed: int) -> Squares:

@@ -97,16 +97,17 @@ class HeldOut:
 
     def __init__(self, data: Dataset, adapt: float | None = None) -> None:
         self.data, self.adapt = data, adapt
-        self._seen: dict[int, tuple[Fit, Foresight]] = {}
+        self._seen: dict[int, tuple[IdentifiedModel, Foresight]] = {}
 
     def foresight(self, fitted: NestedFit) -> Foresight:
         """Errors of one fit. Raises `DataError`, `FitError`."""
-        return self._foresight(fitted.fit)
+        return self.of(fitted.fit.model)
 
-    def _foresight(self, fitted: Fit) -> Foresight:
-        key = id(fitted)
+    def of(self, model: IdentifiedModel) -> Foresight:
+        """Errors of one model, found once. Raises `DataError`, `FitError`."""
+        key = id(model)
         if key not in self._seen:
-            self._seen[key] = fitted, foresee(fitted.model, self.data, adapt=self.adapt)
+            self._seen[key] = model, foresee(model, self.data, adapt=self.adapt)
         return self._seen[key][1]
 
     def errors(self, fitted: NestedFit) -> list[dict[str, Any]]:
@@ -155,11 +156,11 @@ class HeldOut:
     def outdoes(self, now: Fit, instead: Fit) -> bool:
         """Whether errors ahead are clearly lower with the fit `now` than with `instead`, or cannot be had with `instead`."""
         try:
-            new = self._foresight(now)
+            new = self.of(now.model)
         except GreyboxError:
             return False
         try:
-            return nearer(self._foresight(instead), new)
+            return nearer(self.of(instead.model), new)
         except GreyboxError:
             return True
 

@@ -163,11 +163,18 @@ def discover(
         + f" {s.unit}".rstrip()
         for s in steady if s.differs
     ]  # fmt: skip
+    plain = plain_model(at.fit, train)
+    lawful = None
+    if last.written is not None:
+        try:
+            lawful = lawful_model(last.written, leftover, names_of(at.fit), train)
+        except GreyboxError as error:
+            warnings.append(f"no model with the proposed laws: {error}")
     say("gap", 0.9)
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
     rows = gap_rows(
-        null, at, last.written, train, judge, attainable=attainable, seed=seed,
+        null, plain, lawful, train, judge, attainable=attainable, seed=seed,
         say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
     if judged is not train and (grown := outgrown(rows)):
@@ -194,8 +201,7 @@ def discover(
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
         withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),
-        plain=plain_model(at.fit, train), stability=tuple(steady),
-        lawful=None if last.written is None else lawful_model(last.written, leftover, names_of(at.fit), train),
+        plain=plain, lawful=lawful, stability=tuple(steady),
         sensors=tuple(sensor_table(at.fit, done.filters | ({} if noise is None else dict(noise.gains)))),
     )  # fmt: skip
 

@@ -108,8 +108,9 @@ class Learned:
         return "\n".join(lines)
 
 
-def feature_sets(model: IdentifiedModel) -> dict[str, tuple[str, ...]]:
-    """Sets of features to try, by name: body velocity, motion, motion with the direction of gravity, with the rotors."""
+def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tuple[str, ...]]:
+    """Sets of features to try, by name: body velocity, motion, motion with the direction of gravity, with the rotors; on
+    request the `place` alone and with the motion. Raises `ModelError` for the place where no position is measured."""
     full = default_features(model.dynamics)
     motion = tuple(n for n in full if n.startswith("body_velocity.") or n in ("p", "q", "r"))
     sets = {"velocity": tuple(n for n in motion if n.startswith("body_velocity."))}
@@ -117,6 +118,11 @@ def feature_sets(model: IdentifiedModel) -> dict[str, tuple[str, ...]]:
     gravity = tuple(n for n in available(model.dynamics) if n.startswith("gravity."))
     if gravity and motion:
         sets["motion and attitude"] = (*motion, *gravity)
+    if place:
+        if "position" not in {s.name for s in getattr(model.physics, "sensors", ())}:
+            raise ModelError("no position is measured: what depends on the place cannot be learned")
+        where = tuple(f"position.{a}" for a in "xyz")
+        sets |= {"place": where, "place and motion": (*where, *motion, *gravity)}
     return {n: s for n, s in sets.items() if s}
 
 
@@ -125,6 +131,7 @@ def learn(
     train: Dataset,
     *,
     features: Sequence[str] | None = None,
+    place: bool = False,
     kernel: str = "se",
     points: int | str = 50,
     seed: int = 0,
@@ -132,7 +139,8 @@ def learn(
 ) -> Learned:
     """Learn what `model` misses on the flights of `train` (those it was fitted on).
 
-    `features` names the inputs of the Gaussian process (default: the sets of `feature_sets` compete). kernel: "se",
+    `features` names the inputs of the Gaussian process (default: the sets of `feature_sets` compete; with `place` also those
+    of what stands in the room, which do not carry over to another room). kernel: "se",
     "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". Raises
     `MissingExtraError` without the extra `gp`, `UnknownNameError`, `DataError`, `ModelError`.
     """
@@ -148,7 +156,7 @@ def learn(
                 raise UnknownNameError("feature", n, there)
     say("disturbance states", 0.0)
     base = disturbed_model(model, train)
-    sets = {"the given features": tuple(features)} if features is not None else feature_sets(base)
+    sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
     whole = discrepancy(base, train, tuple(dict.fromkeys(n for names in sets.values() for n in names)))
     found: dict[str, GPPosterior] = {}
     reports: list[Mapping[str, Any]] = []

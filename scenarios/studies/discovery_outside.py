@@ -15,7 +15,7 @@ case one line in the file as soon as it is done, so that a study that was stoppe
                channels that the effect moves most: that whose error is largest against the one of the same vehicle
                without the effect, which is the least that a model can reach
     learned    with --learn: the same share with a Gaussian process that learned what names and written laws leave
-               (`greybox learn model_with_laws.json`, extra gp)
+               (`greybox learn model_with_laws.json --place`, extra gp)
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[
     """Group -> RMSE half a second ahead on `test` of what was found, laws included, with what was learned of the rest."""
     from greybox.residual.learn import learn
 
-    result = learn(found.lawful or found.model, train, seed=seed)
+    result = learn(found.lawful or found.model, train, place=True, seed=seed)
     errors = squares(result.model, test)[0]
     rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
     return {"rmse": rmse, "chosen": None if result.null else result.chosen, "seconds": result.seconds}

@@ -203,15 +203,15 @@ def test_a_law_that_does_not_hold_on_other_flights_stands_in_for_no_name(
     now: float | None, instead: float | None, outdone: bool
 ):
     held = HeldOut(None)  # type: ignore[arg-type]
-    fits = object(), object()
+    fits = SimpleNamespace(model="now"), SimpleNamespace(model="instead")
 
-    def foresight(fitted: object) -> Foresight:
-        level = now if fitted is fits[0] else instead
+    def foresight(model: str) -> Foresight:
+        level = now if model == "now" else instead
         if level is None:
             raise FitError("the prediction is not finite")
         return seen(level, 0, seed=int(level))
 
-    held._foresight = foresight  # type: ignore[method-assign, assignment]
+    held.of = foresight  # type: ignore[method-assign, assignment]
     assert held.outdoes(*fits) is outdone  # type: ignore[arg-type]
 
 

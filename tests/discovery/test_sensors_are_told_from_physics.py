@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import greybox.discovery.candidates
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery import sensor_noise as noise
 from greybox.discovery.candidates import candidates
-from greybox.discovery.nested import Nest
+from greybox.discovery.gap import squares
+from greybox.discovery.nested import Nest, led
+from greybox.discovery.workflow import discover
 from greybox.estimation.fit import fit
 from greybox.model.model import build_model
 from greybox.model.sensor_noise import NoisePart, SensorNoise
@@ -66,6 +69,21 @@ def test_coloured_noise_of_one_sensor_is_found_with_its_numbers(flown):
     assert [p.name for p in chosen.parts] == ["coloured.gyro"]
     assert chosen.parts[0].time == pytest.approx(0.08, rel=0.4)
     assert chosen.gains["coloured.gyro"] > 50
+
+
+def test_the_gap_is_that_of_the_model_that_is_handed_out(flown, monkeypatch):
+    """Nothing was added, so nothing closed: the sensors' colour serves the search, files have white sensors."""
+    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    vehicle, log = flown
+    dirty = coloured_noise(log, ["p", "q", "r"], 0.02, 0.08, np.random.default_rng(0))
+    data = dataset_from_arrays(dirty["t"], {k: v for k, v in dirty.items() if k != "t"})
+    found = discover(vehicle, data)
+    assert "coloured" in {s["kind"] for s in found.sensors}
+    reached = squares(found.model, led(data))[0]
+    assert found.gap
+    for row in found.gap:
+        assert row.after == pytest.approx(np.sqrt(np.concatenate(reached[row.group, row.horizon_s]).mean()))
+        assert row.after == pytest.approx(row.before, rel=0.05)
 
 
 def test_a_disturbed_vehicle_does_not_blame_its_sensors(tmp_path):

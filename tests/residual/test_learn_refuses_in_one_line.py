@@ -39,6 +39,8 @@ CASES = {
     "no such log": (["model.json", "--train", "nowhere.csv"], "nowhere.csv"),
     "train is test": (["model.json", "--train", "a.csv", "--test", "a.csv"], "both train and test"),
     "unknown feature": (["model.json", "--train", "a.csv", "--inputs", "body_velocity.v"], "body_velocity"),
+    "place and features": (["model.json", "--train", "a.csv", "--place", "--inputs", "p"], "--place"),
+    "place of a linear model": (["linear.json", "--train", "a.csv", "--place"], "linear model"),
     "unknown kernel": (["model.json", "--train", "a.csv", "--kernel", "rbf"], "se"),
     "no points": (["model.json", "--train", "a.csv", "--points", "0"], "--points"),
     "points in words": (["model.json", "--train", "a.csv", "--points", "many"], "--points"),
