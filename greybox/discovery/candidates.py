@@ -23,6 +23,8 @@ TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
 IN_OTHER_WORDS = {"command_delay": ("sensor_delay", "pose_delay")}
 """The same thing said otherwise: where all sensors are late by as much, no log tells that from late commands."""
+LATE_ALIKE = (({"gyro", "accelerometer"}, "sensor_delay"), ({"position", "velocity", "attitude"}, "pose_delay"))
+"""Where nothing but these sensors is logged, their delay is the same thing as one of the commands."""
 LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""
 
@@ -51,6 +53,14 @@ class Candidates:
         """Whether nothing but rates and specific forces is measured."""
         model: Any = white(self.model)
         return {s.name for s in model.sensors} <= {"gyro", "accelerometer"}
+
+    @property
+    def late_alike(self) -> str | None:
+        """The delay of sensors that all that is measured has, which no log tells from late commands; None without one."""
+        model: Any = white(self.model)
+        sensors = {s.name for s in model.sensors}
+        both = ((late, n) for late, n in LATE_ALIKE if {n, "command_delay"} <= set(self.parameters))
+        return next((n for late, n in both if sensors <= late), None)
 
     def only(self, effects: Iterable[str]) -> PhysicsModel:
         """The model that holds the known effects and some of the candidates."""

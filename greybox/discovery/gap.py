@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
-from greybox.discovery.velocity import unmeasured
+from greybox.discovery.velocity import unknown_start
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.model.identified import IdentifiedModel
@@ -32,7 +32,7 @@ TENTH = 0.1
 NOTHING = 1.2
 """Below this ratio of before^2 to floor^2 there is no gap to close."""
 START = 2.0
-"""Seconds that tell with which velocity and tilt a log without position begins; they are not judged."""
+"""Seconds that tell with which velocity, tilt and rates a log begins that does not measure them; they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
 Squares = dict[tuple[str, float], list[FloatArray]]
@@ -98,7 +98,7 @@ def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
 def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
 
-    Where neither position nor velocity is measured the first `START` s of every segment tell its initial state.
+    Where readings do not tell with which velocity or rates a segment begins, its first `START` s do.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
@@ -106,7 +106,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     groups = reader.judged(data.any_channels)
     steps = {s: max(1, round(s / dt)) for s in SECONDS}
     longest = max(steps.values())
-    blind = unmeasured(model)
+    blind = unknown_start(model)
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
     logliks, samples = list[FloatArray](), 0

@@ -103,7 +103,8 @@ def next_addition(
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
-    rivals = _same_within_a_sample(nest, fits[best], best, gaps) or rivals or _same_without_pose(nest, best)
+    alike = _all_late(nest, best)
+    rivals = _same_within_a_sample(nest, fits[best], best, gaps) or (alike if set(rivals) <= set(alike) else rivals)
     p_value = min(by_name[n].p_family for n in best)
     if {*best} <= {s.name for s in unscored}:
         p_value = _likelihood_ratio(at, fits[best], len(nest.candidates.parameters))
@@ -138,10 +139,10 @@ def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: 
     return dict.fromkeys(names, 1 / len(names)) if len(names) > 1 else {}
 
 
-def _same_without_pose(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
-    """The delays of commands and of the IMU as equal rivals where nothing but the IMU is there: only their sum shows."""
-    pair = ("command_delay", "sensor_delay")
-    return dict.fromkeys(pair, 0.5) if best == pair[:1] and nest.candidates.blind else {}
+def _all_late(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
+    """The delays of commands and of sensors as equal rivals where all sensors are late alike: only their sum shows."""
+    other = nest.candidates.late_alike
+    return dict.fromkeys(("command_delay", other), 0.5) if other and best in (("command_delay",), (other,)) else {}
 
 
 def stands_in(nest: Nest, found: Addition, instead_of: Sequence[Addition]) -> Addition | None:

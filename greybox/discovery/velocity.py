@@ -33,6 +33,12 @@ def unmeasured(model: IdentifiedModel) -> bool:
     return bool(sensors) and not {"position", "velocity"} & sensors
 
 
+def unknown_start(model: IdentifiedModel) -> bool:
+    """Whether readings do not tell with which velocity or rates a flight begins: no position and no velocity, or no gyro."""
+    sensors = {s.name for s in getattr(model.physics, "sensors", ())}
+    return unmeasured(model) or (bool(sensors) and "gyro" not in sensors)
+
+
 def drifts(model: IdentifiedModel) -> bool:
     """Whether the model has a velocity of which its filter sees nothing, in a reading or in the next one."""
     if not has_velocity(model.dynamics) or not unmeasured(model):

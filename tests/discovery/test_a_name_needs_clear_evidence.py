@@ -27,7 +27,8 @@ class Refits:
     firsts: list[Any] = field(default_factory=list)
     candidates: Any = field(
         default_factory=lambda: SimpleNamespace(
-            model=SimpleNamespace(sample_time=0.01), blind=False, parameters=dict.fromkeys(("motor_lag", "command_delay"))
+            model=SimpleNamespace(sample_time=0.01), late_alike=None,
+            parameters=dict.fromkeys(("motor_lag", "command_delay")),
         )
     )
 
@@ -303,14 +304,15 @@ def test_the_look_alike_of_a_withheld_name_does_not_take_its_place(drag: float, 
     assert (found is not None) == refused
 
 
-def test_without_a_pose_the_delays_of_commands_and_imu_are_one_group():
+@pytest.mark.parametrize("late", ["sensor_delay", "pose_delay"])
+def test_where_all_that_is_measured_is_late_alike_commands_may_be_as_well(late: str):
     refits = Refits(
         {(): 1000.0, ("command_delay",): 600.0, ("motor_lag",): 700.0, ("command_delay", "motor_lag"): 599.0}
     )
     found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
     assert found is not None
     assert found.rivals == {}
-    refits.candidates.blind = True
+    refits.candidates.late_alike = late
     found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
     assert found is not None
-    assert found.rivals == {"command_delay": 0.5, "sensor_delay": 0.5}
+    assert found.rivals == {"command_delay": 0.5, late: 0.5}
