@@ -1,4 +1,4 @@
-"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json and report.html."""
+"""`greybox discover`: from a vehicle file and flights to discovery.json, model.json, laws of what is left, report.html."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Any
 
 from greybox.commands.fit import names
 
-WITH_LAWS = "model_with_laws.json"
-
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
@@ -20,7 +18,8 @@ def add(subparsers: Any) -> None:
         "discover",
         help="find, name and add the effects that a vehicle file misses",
         description="Find where simulation and flights disagree, name the missing effects, add them and show how far the "
-        "gap closed. Writes discovery.json, model.json (the improved model) and report.html. Exit code 0: done, "
+        "gap closed. Writes discovery.json, model.json (the improved model), report.html and, where what is left follows a "
+        "law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
         "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
@@ -52,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
     from greybox.data.logs import read_logs
-    from greybox.discovery.result import Discovery
+    from greybox.discovery.result import WITH_LAWS, Discovery
     from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
@@ -75,22 +74,30 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
     vehicle = read_vehicle(arguments.vehicle)
-    own = [e for path in arguments.effects_file for e in load_effects(path)]
+    offered = {path: load_effects(path) for path in arguments.effects_file}
+    own = [e for effects in offered.values() for e in effects]
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
         content.update(found.to_dict())
         ours = sys.argv[1:2] == ["discover"]
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox discover"
+        has = () if found.fit is None else found.model.effects
+        content["effects_files"] = [path for path, effects in offered.items() if {e.name for e in effects} & set(has)]
         write_json(out / "discovery.json", content)
-        if found.fit is not None:
-            found.model.save(out / "model.json")
-        for name, text in found.proposals().items():
+        if found.fit is None:
+            return
+        found.model.save(out / "model.json")
+        laws = found.proposals()
+        for old in out.glob("proposal_*.py"):  # of an earlier search; they may have been edited
+            if old.read_text(encoding="utf-8") != laws.get(old.name):
+                old.replace(old.with_name(f"{old.name}.old"))
+        for name, text in laws.items():
             write_atomic(out / name, text)
         if found.lawful is not None:
             found.lawful.save(out / WITH_LAWS)
         else:
-            (out / WITH_LAWS).unlink(missing_ok=True)  # of an earlier search
+            (out / WITH_LAWS).unlink(missing_ok=True)
 
     def page() -> None:
         write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
@@ -129,10 +136,11 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, content)
     if not quiet:
         print(found.summary())
-        kept = ["discovery.json", *(["model.json"] if found.fit is not None else [])]
+        kept = ["discovery.json", *(["model.json"] if found.fit is not None else []), *found.proposals()]
         if found.lawful is not None:
-            laws = " ".join(str(out / name) for name in found.proposals())
-            kept += [WITH_LAWS, *found.proposals()]
-            print(f"what the laws leave: greybox learn {out / WITH_LAWS} --effects-file {laws} --train ...")
+            kept.append(WITH_LAWS)
+            files = shlex.join([*content["effects_files"], *(str(out / name) for name in found.proposals())])
+            model = shlex.quote(str(out / WITH_LAWS))
+            print(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
         print(f"wrote {', '.join(kept)} and report.html in {out}")
     return 0

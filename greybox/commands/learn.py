@@ -29,7 +29,8 @@ def add(subparsers: Any) -> None:
                    "what it teaches holds in this room only")  # fmt: skip
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py", help="effects of your own in the model")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py",
+                   help="effects of your own in the model, and the laws of model_with_laws.json")  # fmt: skip
     p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
     p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
                    "(default: as in fit.json beside it)")  # fmt: skip

@@ -59,8 +59,9 @@ class Candidates:
         """The delay of sensors that all that is measured has, which no log tells from late commands; None without one."""
         model: Any = white(self.model)
         sensors = {s.name for s in model.sensors}
-        both = ((late, n) for late, n in LATE_ALIKE if {n, "command_delay"} <= set(self.parameters))
-        return next((n for late, n in both if sensors <= late), None)
+        other = next((n for late, n in LATE_ALIKE if sensors and sensors <= late), None)
+        # One that the vehicle file knows is no other word for a further one.
+        return other if "command_delay" in self.parameters and (other in self.parameters or other in self.unjudged) else None
 
     def only(self, effects: Iterable[str]) -> PhysicsModel:
         """The model that holds the known effects and some of the candidates."""

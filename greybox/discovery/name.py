@@ -103,7 +103,7 @@ def next_addition(
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
     weights /= weights.sum()
     rivals = dict(zip(("+".join(best), *near), weights.tolist(), strict=True)) if near else {}
-    alike = _all_late(nest, best)
+    alike = _all_late(nest, fits[best], best)
     rivals = _same_within_a_sample(nest, fits[best], best, gaps) or (alike if set(rivals) <= set(alike) else rivals)
     p_value = min(by_name[n].p_family for n in best)
     if {*best} <= {s.name for s in unscored}:
@@ -139,10 +139,14 @@ def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: 
     return dict.fromkeys(names, 1 / len(names)) if len(names) > 1 else {}
 
 
-def _all_late(nest: Nest, best: tuple[str, ...]) -> dict[str, float]:
-    """The delays of commands and of sensors as equal rivals where all sensors are late alike: only their sum shows."""
+def _all_late(nest: Nest, found: Refit, best: tuple[str, ...]) -> dict[str, float]:
+    """The delays of commands and of sensors as equal rivals where all sensors are late alike: only their sum shows. No
+    command is early, and what has a name already is not asked again."""
     other = nest.candidates.late_alike
-    return dict.fromkeys(("command_delay", other), 0.5) if other and best in (("command_delay",), (other,)) else {}
+    if other is None or best not in (("command_delay",), (other,)) or {"command_delay", other} <= set(found.effects):
+        return {}
+    size = min((v for (n, _), v in found.theta.items() if n.split(".")[0] in best), default=0.0)
+    return {} if size < 0 else dict.fromkeys(("command_delay", other), 0.5)
 
 
 def stands_in(nest: Nest, found: Addition, instead_of: Sequence[Addition]) -> Addition | None:

@@ -20,6 +20,7 @@ REACH = 10.0
 """Factor by which a refit may move time and damping of a memory, either way."""
 SHORTEST = 0.02
 """Time constant [s] below which no refit goes: it is the present, and steps of integration must stay shorter than it."""
+ROUND = 1e-3
 SLOT = {"force": "force", "torque": "moment"}
 
 
@@ -67,8 +68,8 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
             f"    {law.channel} = " + " + ".join(f"{c:.4g} {text}" for (text, c), _ in rows),
             "",
             f"It explains {100 * law.share:.0f} % of the smoothed discrepancy on flights that were left out. Terms are",
-            "sums that describe; what the physics is, you may know: rename the effect, keep the terms that make sense, and",
-            "offer it again with --effects-file.",
+            "sums that describe; what the physics is, you may know: copy this file, rename the effect, keep the terms that",
+            "make sense, and offer it with --effects-file.",
             '"""',
             "",
             "import casadi as ca",
@@ -131,7 +132,8 @@ def _positive(
 ) -> str:  # fmt: skip
     """The declaration of a shape parameter: felt only where its term is, and then within reach of the proposed value."""
     low, high = min(max(value / REACH, lower), value), max(min(value * REACH, upper), value)
-    bounds = f"lower={low:.4g}, upper={high:.4g}, scale={value / 3:.3g}"
+    # Rounding must not leave the value outside.
+    bounds = f"lower={low * (1 - ROUND):.4g}, upper={high * (1 + ROUND):.4g}, scale={value / 3:.3g}"
     return (
         f'            Parameter(name="{name}", unit="{unit}", nominal={value:.4g}, null={value:.4g}, {bounds}, '
         f'meaning="{meaning}"),'

@@ -26,6 +26,8 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel, library_versions
 
 SCHEMA = "greybox.discovery/1"
+WITH_LAWS = "model_with_laws.json"
+"""File of the model that has the laws of the leftover as well."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,6 +176,7 @@ class Discovery:
                 if a.rivals
             ],
             "unnamed": self.unnamed(),
+            "model_with_laws": None if self.lawful is None else WITH_LAWS,
             "withheld": [w.to_dict() for w in self.withheld],
             "sensors": [dict(s) for s in self.sensors],
             "locations": self.locations(),

@@ -258,7 +258,7 @@ def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     own = [n for n in found.model.flight_spread if n in there]
     result = fit(
         physics, data, free=own, per_flight=per_flight, values=_known(found, physics), initialisation="noise",
-        solver=LevenbergMarquardt(tolerance=TOLERANCE),
+        solver=LevenbergMarquardt(tolerance=TOLERANCE), estimate_noise=found.settings["estimate_noise"],
     ).model  # fmt: skip
     keep = [i for i, n in enumerate(found.model.covariance_names) if n in there]
     return replace(

@@ -354,6 +354,8 @@ def _errors(
 def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:
     """The manoeuvre that tells the rivals of an addition apart, each fitted next to what was found before."""
     before = addition.before
+    if set(addition.rivals) == {"command_delay", nest.candidates.late_alike}:
+        return None  # another sensor tells them apart, no manoeuvre does
     if not {n for name in addition.rivals for n in name.split("+")} <= set(nest.candidates.parameters):
         return None  # one of them has nothing to be seen with in these logs
     fits = {

@@ -418,19 +418,20 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
         texts += [f"Fly what tells the candidates apart: {m['text']}." for m in told]
         if len(told) < len(content["ambiguous"]):
             texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
+    own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
     if files:
         texts.append(
-            "The laws that were found are proposals, written as effect files beside this page: edit what makes sense "
-            "(docs/own_effect.md) and run again with --effects-file proposal_1.py."
+            f"The laws that were found are proposals, written as effect files beside this page ({', '.join(files)}): copy one, "
+            "edit what makes sense (docs/own_effect.md), and run again with --effects-file and another --out."
         )
-        texts.append(
-            "What they leave can be learned: greybox learn model_with_laws.json --train LOGS --effects-file "
-            + " ".join(files)
-        )
-    elif content["unnamed"]:
-        axes = _list([u["channel"] for u in content["unnamed"]])
-        texts.append(f"No law was found for {axes}: greybox learn model.json --train LOGS learns what is left there.")
+    if files and content.get("model_with_laws"):
+        command = f"greybox learn {content['model_with_laws']} --train LOGS --effects-file {' '.join([*own, *files])}"
+        texts.append(f"What laws leave can be learned: {command}")
+    if lawless := [u["channel"] for u in content["unnamed"] if not u.get("file")]:
+        more = f" --effects-file {' '.join(own)}" if own else ""
+        command = f"greybox learn model.json --train LOGS{more}"
+        texts.append(f"No law was found for {_list(lawless)}: {command} learns what is left.")
     after = content["deficiency"]["after"]
     if after is not None and after > CLEAR and not content["unnamed"]:
         texts.append(

@@ -120,7 +120,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
         sets["motion and attitude"] = (*motion, *gravity)
     if place:
         if "position" not in {s.name for s in getattr(model.physics, "sensors", ())}:
-            raise ModelError("no position is measured: what depends on the place cannot be learned")
+            raise ModelError("no position is measured: what depends on the place cannot be learned", fix="leave place out")
         where = tuple(f"position.{a}" for a in "xyz")
         sets |= {"place": where, "place and motion": (*where, *motion, *gravity)}
     return {n: s for n, s in sets.items() if s}
@@ -149,6 +149,10 @@ def learn(
     if isinstance(model.dynamics, HybridModel):
         raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
     split_name(kernel)
+    if place:
+        if features is not None:
+            raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
+        feature_sets(model, place=True)
     if features is not None:
         there = available(model.dynamics)
         for n in features:

@@ -179,6 +179,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--summary", action="store_true")
     parser.add_argument("--docs", default=None, help="folder for tables and figures")
     options = parser.parse_args(arguments)
+    if wrong := set(options.columns.split(",")) - set(COLUMNS):
+        parser.error(f"--columns takes {', '.join(COLUMNS)}, not {', '.join(sorted(wrong))}")
+    if options.sizes != "flight" and options.rate != Cell().rate:
+        parser.error("sizes in the noise are known at 100 Hz: --sizes flight with another --rate")
     path = Path(options.out)
     rows = read_rows(path)
     if not options.summary:

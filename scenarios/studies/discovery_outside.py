@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ from greybox.discovery.nested import Nest, led
 from greybox.discovery.result import Discovery
 from greybox.discovery.veto import HeldOut
 from greybox.discovery.workflow import discover
+from greybox.errors import GreyboxError
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
@@ -109,8 +111,11 @@ def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[
     """Group -> RMSE half a second ahead on `test` of what was found, laws included, with what was learned of the rest."""
     from greybox.residual.learn import learn
 
-    result = learn(found.lawful or found.model, train, place=True, seed=seed)
-    errors = squares(result.model, test)[0]
+    try:
+        result = learn(found.lawful or found.model, train, place=True, seed=seed)
+        errors = squares(result.model, test)[0]
+    except GreyboxError as error:  # what was searched for minutes is kept
+        return {"rmse": {}, "chosen": None, "error": str(error)}
     rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
     return {"rmse": rmse, "chosen": None if result.null else result.chosen, "seconds": result.seconds}
 
@@ -169,7 +174,7 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
     """Rates per case and over all."""
     lines = [
         f"{'case':20s} {'runs':>4s} {'wrong name':>10s} {'flagged':>8s} {'right axis':>10s} {'closed: median, worst':>22s}"
-        f"{'with a learned rest':>21s}"
+        f"{'with a learned rest (n)':>26s}"
     ]
     for name in [*CASES, "outside", "relatives", "unseen", "all"]:
         own = [
@@ -187,7 +192,7 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         taught = [s for r in own if (s := by_learning(r, least(r["seed"]))) is not None]
         lines.append(
             f"{name:20s} {len(own):4d} {sum(bool(r['wrong']) for r in own):10d} {sum(bool(r['flagged']) for r in own):8d} "
-            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>21s}"
+            f"{sum(r['right_axis'] for r in own):10d} {_spread(named):>22s}{_spread(taught):>20s} ({len(taught):3d})"
         )
     return "\n".join(lines)
 
@@ -208,7 +213,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     path = Path(options.out)
     rows = read_rows(path)
-    done = {(r["case"], r["seed"]) for r in rows}
+    if options.learn and importlib.util.find_spec("gpytorch") is None:
+        parser.error("--learn needs the extra gp")
+    done = {(r["case"], r["seed"]) for r in rows if not options.learn or "learned" in r}
     wanted = options.only.split(",") if options.only else list(CASES)
     for seed in () if options.report else options.seeds:
         for name in wanted:
@@ -223,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"({row['seconds']:.0f} s)",
                 flush=True,
             )
-    print(report(rows))
+    print(report(list({(r["case"], r["seed"]): r for r in rows}.values())))
 
 
 if __name__ == "__main__":

@@ -114,9 +114,19 @@ def test_laws_come_with_a_model_that_has_them(
     capsys.readouterr()
     assert main(again) == 2
     assert "may write over it" in capsys.readouterr().err
-    # One that finds no law does not leave the model of an earlier one.
-    assert main(command(files, "--train", "swapped.csv", "--out", str(out))) == 0
+    # One that finds no law leaves no model of an earlier one, and laws, which may have been edited, under another name.
+    laws[0].write_text(laws[0].read_text() + "# mine\n")
+    arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(out))
+    assert main(arguments) == 0
+    content = valid(out / "discovery.json")
+    assert content["model_with_laws"] is None
+    assert content["effects_files"] == [str(files / "friction.py")]
     assert not (out / "model_with_laws.json").exists()
+    assert not list(out.glob("proposal_*.py"))
+    assert (out / f"{laws[0].name}.old").read_text().endswith("# mine\n")
+    # Bad data search nothing and leave what was there.
+    assert main(command(files, "--train", "swapped.csv", "--out", str(out))) == 0
+    assert (out / "model.json").exists()
 
 
 def test_an_interruption_keeps_what_was_found(

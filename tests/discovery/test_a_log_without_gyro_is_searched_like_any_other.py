@@ -26,6 +26,15 @@ def searched(*hidden: str) -> tuple[Nest, Dataset]:
     return Nest(candidates=offered, data=led(train)), test
 
 
+@pytest.mark.parametrize(
+    ("columns", "late"), [("mocap", "pose_delay"), ("imu", "sensor_delay"), ("full", None), ("rotors", None), ("pose", None)]
+)
+def test_all_that_is_measured_is_late_alike_in_few_logs(columns: str, late: str | None):
+    cell = Cell(columns=columns, seconds=1.0)
+    _, plant, _, train, _ = next(flown(cell, [SEED]))
+    assert candidates(nominal(plant, "off", SEED), train.channels, sample_time=0.01).late_alike == late
+
+
 def test_flights_that_begin_turning_do_not_contradict_what_is_there():
     nest, test = searched("products_of_inertia")
     bare = nest.refit(())

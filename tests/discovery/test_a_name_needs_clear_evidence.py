@@ -316,3 +316,9 @@ def test_where_all_that_is_measured_is_late_alike_commands_may_be_as_well(late: 
     found = choose(refits, score("command_delay", 0.001), score("motor_lag", 0.001))
     assert found is not None
     assert found.rivals == {"command_delay": 0.5, late: 0.5}
+    # No command is early.
+    early = Refits({(): 1000.0, (late,): 600.0}, theta={(f"{late}.d", None): -0.015})
+    early.candidates.late_alike = late
+    found = choose(early, score(late, 0.001))
+    assert found is not None
+    assert found.rivals == {}

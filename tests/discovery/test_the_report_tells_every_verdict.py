@@ -165,10 +165,15 @@ def test_the_attainable_line_and_the_proposals_stand_in_the_gap_table_when_they_
 def test_the_way_on_from_what_has_no_name_is_a_command():
     given = content("unnamed")
     page = discover_report(given)
-    assert "model_with_laws.json --train LOGS --effects-file proposal_1.py" in page
+    assert "with --effects-file and another --out" in page
+    assert "greybox learn" not in page
+    given |= {"model_with_laws": "model_with_laws.json", "effects_files": ["mine.py"]}
+    page = discover_report(given)
+    assert "greybox learn model_with_laws.json --train LOGS --effects-file mine.py proposal_1.py" in page
     assert "No law was found" not in page
-    given["unnamed"] = [u | {"file": None} for u in given["unnamed"]]
-    assert "No law was found for force.x: greybox learn model.json" in discover_report(given)
+    given["unnamed"] = [*given["unnamed"], given["unnamed"][0] | {"channel": "torque.x", "file": None}]
+    page = discover_report(given)
+    assert "No law was found for torque.x: greybox learn model.json --train LOGS --effects-file mine.py" in page
 
 
 def test_the_map_of_regimes_is_drawn_where_something_is_missing():

@@ -88,5 +88,5 @@ def test_the_table_counts_cases_and_families(monkeypatch: pytest.MonkeyPatch):
     assert all("0.667, 0.667" in line for line in text.splitlines()[1:])
     taught = {"learned": {"rmse": {"position": 1.0}}}
     lines = report([{**row, **taught}, {**row, "case": "power_drag"}]).splitlines()
-    assert lines[1].split()[-2:] == ["1.000,", "1.000"]
-    assert lines[2].split()[-1] == "-"
+    assert lines[1].split()[-4:] == ["1.000,", "1.000", "(", "1)"]
+    assert lines[2].split()[-3:] == ["-", "(", "0)"]
