@@ -422,7 +422,7 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
     if files:
         texts.append(
-            f"The laws that were found are proposals, written as effect files beside this page ({', '.join(files)}): copy one, "
+            f"The laws that were found are proposals, effect files beside this page ({', '.join(files)}): copy one, "
             "edit what makes sense (docs/own_effect.md), and run again with --effects-file and another --out."
         )
     if files and content.get("model_with_laws"):
