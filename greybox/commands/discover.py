@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
 import shlex
 import sys
@@ -10,6 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.fit import names
+
+LAW_FILE = re.compile(r"proposal_\d+\.py")
+
+
+def set_aside(path: Path) -> Path:
+    """The file, of an earlier search and perhaps edited since, under the first free name F.old, F.old2, ..."""
+    names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
+    return path.replace(next(name for name in names if not name.exists()))
 
 
 def add(subparsers: Any) -> None:
@@ -69,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     out = Path(arguments.out)
     for path in map(Path, arguments.effects_file):
-        if path.resolve().parent == out.resolve() and re.fullmatch(r"proposal_\d+\.py", path.name):
+        if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
             raise GreyboxError(
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
@@ -89,9 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
             return
         found.model.save(out / "model.json")
         laws = found.proposals()
-        for old in out.glob("proposal_*.py"):  # of an earlier search; they may have been edited
-            if old.read_text(encoding="utf-8") != laws.get(old.name):
-                old.replace(old.with_name(f"{old.name}.old"))
+        for old in out.glob("proposal_*.py"):
+            if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
+                set_aside(old)
         for name, text in laws.items():
             write_atomic(out / name, text)
         if found.lawful is not None:

@@ -14,6 +14,7 @@ import pytest
 import greybox.discovery.candidates
 import greybox.discovery.workflow
 from greybox.cli import main
+from greybox.commands.discover import set_aside
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
 from scenarios.excitation.injection import rich_excitation
@@ -116,17 +117,28 @@ def test_laws_come_with_a_model_that_has_them(
     assert "may write over it" in capsys.readouterr().err
     # One that finds no law leaves no model of an earlier one, and laws, which may have been edited, under another name.
     laws[0].write_text(laws[0].read_text() + "# mine\n")
+    (out / "proposal_mine.py").write_text("")
     arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(out))
     assert main(arguments) == 0
     content = valid(out / "discovery.json")
     assert content["model_with_laws"] is None
     assert content["effects_files"] == [str(files / "friction.py")]
     assert not (out / "model_with_laws.json").exists()
-    assert not list(out.glob("proposal_*.py"))
+    assert [path.name for path in out.glob("proposal_*.py")] == ["proposal_mine.py"]
     assert (out / f"{laws[0].name}.old").read_text().endswith("# mine\n")
     # Bad data search nothing and leave what was there.
     assert main(command(files, "--train", "swapped.csv", "--out", str(out))) == 0
     assert (out / "model.json").exists()
+
+
+def test_files_that_are_set_aside_are_never_written_over(tmp_path: Path):
+    for text in ("first", "second", "third"):
+        path = tmp_path / "proposal_1.py"
+        path.write_text(text)
+        assert set_aside(path).read_text() == text
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {
+        "proposal_1.py.old": "first", "proposal_1.py.old2": "second", "proposal_1.py.old3": "third",
+    }  # fmt: skip
 
 
 def test_an_interruption_keeps_what_was_found(
