@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import re
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.fit import names
-
-LAW_FILE = re.compile(r"proposal_\d+\.py")
 
 
 def set_aside(path: Path) -> Path:
@@ -60,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
     from greybox.data.logs import read_logs
+    from greybox.discovery.proposal import LAW_FILE
     from greybox.discovery.result import WITH_LAWS, Discovery
     from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
@@ -145,10 +143,11 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, content)
     if not quiet:
         print(found.summary())
-        kept = ["discovery.json", *(["model.json"] if found.fit is not None else []), *found.proposals()]
+        laws = list(found.proposals())
+        kept = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
         if found.lawful is not None:
             kept.append(WITH_LAWS)
-            files = shlex.join([*content["effects_files"], *(str(out / name) for name in found.proposals())])
+            files = shlex.join([*content["effects_files"], *(str(out / name) for name in laws)])
             model = shlex.quote(str(out / WITH_LAWS))
             print(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
         print(f"wrote {', '.join(kept)} and report.html in {out}")

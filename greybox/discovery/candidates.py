@@ -23,7 +23,8 @@ TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
 IN_OTHER_WORDS = {"command_delay": ("sensor_delay", "pose_delay")}
 """The same thing said otherwise: where all sensors are late by as much, no log tells that from late commands."""
-LATE_ALIKE = (({"gyro", "accelerometer"}, "sensor_delay"), ({"position", "velocity", "attitude"}, "pose_delay"))
+INERTIAL = {"gyro", "accelerometer"}
+LATE_ALIKE = ((INERTIAL, "sensor_delay"), ({"position", "velocity", "attitude"}, "pose_delay"))
 """Where nothing but these sensors is logged, their delay is the same thing as one of the commands."""
 LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""
@@ -49,17 +50,19 @@ class Candidates:
         return tuple(self.parameters)
 
     @property
+    def _sensors(self) -> frozenset[str]:
+        model: Any = white(self.model)
+        return model.sensor_names
+
+    @property
     def blind(self) -> bool:
         """Whether nothing but rates and specific forces is measured."""
-        model: Any = white(self.model)
-        return {s.name for s in model.sensors} <= {"gyro", "accelerometer"}
+        return self._sensors <= INERTIAL
 
     @property
     def late_alike(self) -> str | None:
         """The delay of sensors that all that is measured has, which no log tells from late commands; None without one."""
-        model: Any = white(self.model)
-        sensors = {s.name for s in model.sensors}
-        other = next((n for late, n in LATE_ALIKE if sensors and sensors <= late), None)
+        other = next((n for late, n in LATE_ALIKE if self._sensors and self._sensors <= late), None)
         # One that the vehicle file knows is no other word for a further one.
         return other if "command_delay" in self.parameters and (other in self.parameters or other in self.unjudged) else None
 

@@ -8,6 +8,7 @@ the coefficient's scale. A term with a memory is a state of the effect, whose ti
 from __future__ import annotations
 
 import math
+import re
 import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -21,11 +22,12 @@ REACH = 10.0
 SHORTEST = 0.02
 """Time constant [s] below which no refit goes: it is the present, and steps of integration must stay shorter than it."""
 ROUND = 1e-3
+LAW_FILE = re.compile(r"proposal_\d+\.py")
 SLOT = {"force": "force", "torque": "moment"}
 
 
 def file_name(number: int) -> str:
-    """proposal_<n>.py."""
+    """proposal_<n>.py, as `LAW_FILE` has it."""
     return f"proposal_{number}.py"
 
 

@@ -18,7 +18,6 @@ from greybox.discovery.screen import Score
 from greybox.discovery.spectrum import Spectrum
 from greybox.discovery.stability import Stability
 from greybox.discovery.veto import Withheld
-from greybox.discovery.written import names_of
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
@@ -106,7 +105,7 @@ class Discovery:
         that `size`."""
         same = [e for n in IN_OTHER_WORDS.get(name, ()) for e in CATALOGUE if e.name == n]
         physics = self.model.physics
-        there = not any(e.missing(physics.vehicle, {s.name for s in physics.sensors}) for e in same)
+        there = not any(e.missing(physics.vehicle, self.model.sensors) for e in same)
         small = all(size <= d.upper for e in same for d in e.parameters(physics.vehicle))
         known = {e.name for e in self.final_effects} & {e.name for e in same}
         return ["+".join(e.name for e in same)] if same and there and small and not known else []
@@ -130,7 +129,7 @@ class Discovery:
     def proposals(self) -> dict[str, str]:
         """File name -> text of an effect file, one for every law of the leftover."""
         laws = () if self.leftover is None else self.leftover.laws
-        taken = () if self.fit is None else names_of(self.fit)
+        taken = () if self.fit is None else self.fit.model.effects
         return {file_name(n): proposal_text(law, n, taken) for n, law in enumerate(laws, 1)}
 
     def locations(self) -> list[dict[str, Any]]:

@@ -86,7 +86,7 @@ def _imu_filters(nest: Nest) -> tuple[NoisePart, ...]:
     physics: Any = white(nest.candidates.model)
     if any(p.kind == "low_pass" for p in parts_of(nest.candidates.model)):
         return ()
-    sensors = {s.name for s in physics.sensors}
+    sensors = physics.sensor_names
     return tuple(NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors)
 
 
@@ -211,7 +211,7 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
     if not suspicious(lean):
         return None
     physics: Any = white(lean.model.dynamics)
-    there = {s.name for s in physics.sensors}
+    there = physics.sensor_names
     sensors = [s.name for s in physics.sensors if s.name in START and WITNESS.get(s.name, there) & there]
     parts = tuple(NoisePart(sensor=s, kind="coloured", time=START[s]) for s in sensors)
     if "gyro" in sensors:

@@ -29,14 +29,12 @@ def moving(bare: PhysicsModel, offered: Iterable[Effect]) -> tuple[str, ...]:
 
 def unmeasured(model: IdentifiedModel) -> bool:
     """Whether neither position nor velocity is measured."""
-    sensors = {s.name for s in getattr(model.physics, "sensors", ())}
-    return bool(sensors) and not {"position", "velocity"} & sensors
+    return bool(model.sensors) and not {"position", "velocity"} & model.sensors
 
 
 def unknown_start(model: IdentifiedModel) -> bool:
     """Whether readings do not tell with which velocity or rates a flight begins: no position and no velocity, or no gyro."""
-    sensors = {s.name for s in getattr(model.physics, "sensors", ())}
-    return unmeasured(model) or (bool(sensors) and "gyro" not in sensors)
+    return unmeasured(model) or (bool(model.sensors) and "gyro" not in model.sensors)
 
 
 def drifts(model: IdentifiedModel) -> bool:

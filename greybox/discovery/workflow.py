@@ -42,7 +42,7 @@ from greybox.discovery.stability import stability
 from greybox.discovery.velocity import drifts
 from greybox.discovery.verify import gap_rows, verified
 from greybox.discovery.veto import HeldOut, Withheld, unseen
-from greybox.discovery.written import lawful_model, names_of
+from greybox.discovery.written import lawful_model
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
@@ -167,7 +167,7 @@ def discover(
     lawful = None
     if last.written is not None:
         try:
-            lawful = lawful_model(last.written, leftover, names_of(at.fit), train)
+            lawful = lawful_model(last.written, leftover, at.fit.model.effects, train)
         except GreyboxError as error:
             warnings.append(f"no model with the proposed laws: {error}")
     say("gap", 0.9)

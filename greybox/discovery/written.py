@@ -26,7 +26,7 @@ LOOKS = 2
 def with_proposals(found: Fit, leftover: Promoted, train: Dataset, known: Fit | None = None) -> Fit | None:
     """`found` refitted with the laws of the leftover as effects, from the estimates of `known` where it has them; None where
     there is no law or the refit fails."""
-    effects = proposed(leftover.laws, names_of(found))
+    effects = proposed(leftover.laws, found.model.effects)
     if not effects:
         return None
     model: Any = found.model.dynamics
@@ -74,7 +74,7 @@ def looked_again(found: Fit, leftover: Promoted, train: Dataset, *, seed: int = 
             break
         leftover, best = more, longer
     if best is not None:
-        leftover = replace(leftover, axes=tuple(fitted(a, best, names_of(found)) for a in leftover.axes))
+        leftover = replace(leftover, axes=tuple(fitted(a, best, found.model.effects) for a in leftover.axes))
     return Looked(first=first, leftover=leftover, written=best)
 
 
@@ -83,13 +83,8 @@ def lawful_model(written: Fit, leftover: Promoted, taken: Collection[str], train
     laws read from the files that hold its numbers: a model file goes with the files beside it."""
     plain = plain_model(written, train)
     physics: Any = plain.dynamics
-    own = [n for n in names_of(written) if n not in taken]
+    own = [n for n in written.model.effects if n not in taken]
     return replace(plain, dynamics=physics.without_effect(*own).with_effect(*proposed(leftover.laws, taken)))
-
-
-def names_of(found: Fit) -> tuple[str, ...]:
-    """Effects of a fit's model."""
-    return tuple(e.name for e in getattr(found.model.physics, "effects", ()))
 
 
 def fitted(law: Leftover, written: Fit, taken: Collection[str] = ()) -> Leftover:

@@ -85,6 +85,11 @@ class IdentifiedModel:
         """Names of the effects of a physics model."""
         return tuple(e.name for e in getattr(self.physics, "effects", ()))
 
+    @property
+    def sensors(self) -> frozenset[str]:
+        """Names of the sensors of a physics model."""
+        return getattr(self.physics, "sensor_names", frozenset())
+
     @cached_property
     def physics(self) -> Any:
         """The innermost model: without disturbance states and learned parts."""

@@ -90,7 +90,7 @@ class PhysicsModel:
                 if e.stage in ("command", "rotor"):
                     raise ModelError(f"effect {e.name} shapes the command, which --input speed does not use")
         for e in self.effects:
-            if missing := e.missing(self.vehicle, {s.name for s in self.sensors}):
+            if missing := e.missing(self.vehicle, self.sensor_names):
                 raise ModelError(f"effect {e.name} needs {', '.join(missing)}", fix="add it, or leave the effect out")
             own = e.memory(self.vehicle)
             if own and e.stage not in REMEMBERING:
@@ -134,6 +134,11 @@ class PhysicsModel:
             if n not in have:
                 raise ModelError(f"the model has no effect '{n}'", expected=f"one of {', '.join(sorted(have))}")
         return replace(self, effects=tuple(e for e in self.effects if e.name not in names))
+
+    @property
+    def sensor_names(self) -> frozenset[str]:
+        """Names of the sensors that the log fills."""
+        return frozenset(s.name for s in self.sensors)
 
     @property
     def omega_known(self) -> bool:

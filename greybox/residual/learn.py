@@ -119,7 +119,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
     if gravity and motion:
         sets["motion and attitude"] = (*motion, *gravity)
     if place:
-        if "position" not in {s.name for s in getattr(model.physics, "sensors", ())}:
+        if "position" not in model.sensors:
             raise ModelError("no position is measured: what depends on the place cannot be learned", fix="leave place out")
         where = tuple(f"position.{a}" for a in "xyz")
         sets |= {"place": where, "place and motion": (*where, *motion, *gravity)}

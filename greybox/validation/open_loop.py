@@ -83,7 +83,7 @@ def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], An
     None where no state carries the velocity. The command is taken as held through the delay.
     """
     physics = model.physics
-    if not isinstance(physics, PhysicsModel) or "position" not in {s.name for s in physics.sensors}:
+    if not isinstance(physics, PhysicsModel) or "position" not in physics.sensor_names:
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
     seeing: Dynamics = replace(physics, sensors=(*physics.sensors, sensor))
