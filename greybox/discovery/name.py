@@ -192,16 +192,17 @@ def _handed_over(at: NestedFit, effect: str) -> list[dict[tuple[str, str | None]
 
 
 def prune(
-    nest: Nest, at: NestedFit, additions: Sequence[Addition], *, single: bool = False
+    nest: Nest, at: NestedFit, additions: Sequence[Addition], *, single: bool = False, spared: Collection[str] = ()
 ) -> tuple[NestedFit, list[Addition], list[str]]:
-    """Leave out, one by one, what is not needed next to the others; with `single` also an addition that is alone.
+    """Leave out, one by one, what is not needed next to the others, `spared` names not; with `single` also an addition that
+    is alone.
 
     The last addition is tried as well: it may only have led the others out of a local optimum.
     Returns the last fit, the additions with the effects that stay, and a sentence for every effect that went.
     """
     notes = []
     for earlier in additions if len(additions) > 1 or single else ():
-        for name in earlier.effects:
+        for name in (n for n in earlier.effects if n not in spared):
             smaller, gain = still_needed(nest, at, name, earlier.before)
             if smaller is not None:
                 notes.append(f"{name} was added and is not needed next to the others (BIC {gain:.1f}): removed")

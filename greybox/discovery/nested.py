@@ -33,6 +33,7 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, Value, few_samples, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
+from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
@@ -201,7 +202,7 @@ def _levels(found: IdentifiedModel, model: Dynamics) -> dict[str, float]:
 
 def _canonical(model: Any) -> Any:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
-    if isinstance(model, SensorNoise):
+    if isinstance(model, SensorNoise | Disturbed):
         return replace(model, inner=_canonical(model.inner))
     own = {type(e): e for e in CATALOGUE}
     return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))

@@ -55,7 +55,7 @@ class Discovery:
     tested_on: tuple[str, ...] = ()
     withheld: tuple[Withheld, ...] = ()
     separating: Mapping[tuple[str, ...], Mapping[str, Any] | None] = field(default_factory=dict)
-    errors: tuple[list[dict[str, Any]], ...] = ()
+    errors: tuple[Mapping[str, Any], ...] = ()
     sensors: tuple[Mapping[str, Any], ...] = ()
     plain: IdentifiedModel | None = None
     stability: tuple[Stability, ...] = ()
@@ -184,10 +184,7 @@ class Discovery:
                 "after": None if self.leftover is None else self.leftover.deficiency,
             },
             "stability": [s.to_dict() for s in self.stability],
-            "held_out_errors": [
-                {"added": added, "errors": rows}
-                for added, rows in zip(([], *(list(a.effects) for a in self.additions)), self.errors, strict=False)
-            ],
+            "held_out_errors": [dict(row) for row in self.errors],
             "regimes": [] if self.before is None else [r.to_dict() for r in self.before.regimes],
             "spectrum": None if self.spectrum is None else self.spectrum.to_dict(),
             "steps": self.steps(),
@@ -242,6 +239,10 @@ class Discovery:
                 else f"{u['channel']}, no law found"
             )
             lines.append(f"  unnamed: {law}")
+        if lasts := self.settings.get("carried"):
+            lines.append(
+                "  carried along: " + ", ".join(f"what is left of {g} lasts {t:.2g} s" for g, t in lasts.items())
+            )
         for r in self.gap:
             if r.closed is not None and r.horizon_s in (0.1, 0.5):
                 lines.append(

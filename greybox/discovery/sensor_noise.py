@@ -26,6 +26,7 @@ from greybox.discovery.screen import Key, Score
 from greybox.discovery.veto import HALF
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.disturbance import Disturbed
 from greybox.model.identified import IdentifiedModel
 from greybox.model.sensor_noise import NoisePart, SensorNoise, white
 from greybox.validation.whiteness import whiteness
@@ -248,18 +249,28 @@ def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFi
     return again, again.settle(again.refits([replace(task, starts=starts)])[0])
 
 
-def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
-    """The physics of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
-    if not parts_of(found.model.dynamics):
-        return found.model
-    physics: Any = white(found.model.dynamics)
-    there = {d.name for d in physics.parameters}
+def with_levels(found: Fit, dynamics: Any, data: Dataset) -> Fit:
+    """The estimates of `found` in a model `dynamics` with fewer noise states: white levels, and what differs between
+    flights, are fitted."""
+    there = {d.name for d in dynamics.parameters}
     per_flight = [n for n in found.settings["per_flight"] if n in there]
     own = [n for n in found.model.flight_spread if n in there]
-    result = fit(
-        physics, data, free=own, per_flight=per_flight, values=_known(found, physics), initialisation="noise",
+    return fit(
+        dynamics, data, free=own, per_flight=per_flight, values=_known(found, dynamics), initialisation="noise",
         solver=LevenbergMarquardt(tolerance=TOLERANCE), estimate_noise=found.settings["estimate_noise"],
-    ).model  # fmt: skip
+    )  # fmt: skip
+
+
+def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
+    """The model of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
+    own: Any = found.model.dynamics
+    physics: Any = found.model.physics
+    carried = isinstance(own, Disturbed)
+    if (own.inner if carried else own) is physics:
+        return found.model
+    dynamics = replace(own, inner=physics) if carried else physics
+    there = {d.name for d in dynamics.parameters}
+    result = with_levels(found, dynamics, data).model
     keep = [i for i, n in enumerate(found.model.covariance_names) if n in there]
     return replace(
         result, covariance_names=tuple(found.model.covariance_names[i] for i in keep),

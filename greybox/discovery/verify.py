@@ -33,13 +33,14 @@ its variance."""
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verified:
     """The last fit, the additions that stay, the names that were taken back, what is left, and the fit with its laws
-    `written` (None without one)."""
+    `written` (None without one); `first` is what was left before any name was taken back."""
 
     at: NestedFit
     additions: list[Addition]
     withheld: list[Withheld]
     leftover: Promoted
     written: Fit | None
+    first: Promoted
 
 
 def verified(
@@ -52,7 +53,7 @@ def verified(
     any addition (`before`) is left."""
     kept, withheld = list(additions), list[Withheld]()
     proven = {a.effects for a in kept if held_out is not None and held_out.proven(a.before, a.after)}
-    leftover = promote(at.fit, train, seed=seed)
+    first = leftover = promote(at.fit, train, seed=seed)
     looked: Looked | None = None
     while kept and leftover.unnamed:
         doubts = [(a, w) for a in kept if (w := _misfit(nest, at, a, leftover, train)) is not None]
@@ -89,7 +90,9 @@ def verified(
             kept, leftover = still, promote(at.fit, train, seed=seed)
     if looked is None or looked.first is not leftover:
         looked = looked_again(at.fit, leftover, train, seed=seed)
-    return Verified(at=at, additions=kept, withheld=withheld, leftover=looked.leftover, written=looked.written)
+    return Verified(
+        at=at, additions=kept, withheld=withheld, leftover=looked.leftover, written=looked.written, first=first
+    )
 
 
 def _all_of(at: NestedFit, addition: Addition, stage: str) -> bool:

@@ -121,19 +121,28 @@ class HeldOut:
             {"group": g, "horizon_s": h, "rmse": float(np.sqrt(total / n))} for (g, h), (total, n) in sums.items() if n
         ]
 
-    def withheld(self, before: NestedFit, after: NestedFit) -> Withheld | None:
-        """Why what `after` adds to `before` does not hold on these flights; None where it does or cannot be asked."""
+    def withheld(
+        self, before: NestedFit, after: NestedFit, *, supported: bool = False, nearer: bool = False
+    ) -> Withheld | None:
+        """Why what `after` adds to `before` does not hold on these flights; None where it does or cannot be asked. With
+        `supported` it must have made them clearly likelier, with `nearer` errors ahead must have fallen clearly."""
         added = tuple(e for e in after.effects if e not in before.effects)
         try:
             old, new = self.foresight(before), self.foresight(after)
         except GreyboxError:
-            return None
+            asked = supported or nearer
+            return Withheld(effects=added, reason="flights that were not searched cannot be predicted") if asked else None
         change = new.logliks - old.logliks
         gain = float(change.sum())
         error = float(change.std(ddof=1) * np.sqrt(change.size)) if change.size > 1 else 0.0
         if gain <= CONTRADICTED * error or before.bic - after.bic + 2 * gain < CLEAR:
             reason = "one-step errors of flights that were not searched speak against it"
             return Withheld(effects=added, reason=reason, loglik_gain=gain)
+        if (supported and gain <= -CONTRADICTED * error) or (nearer and not fallen(old, new)):
+            reason = "much is left, and flights that were not searched do not prove it"
+            return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead_gain(old, new)[0])
+        if nearer:
+            return None
         stages = {e.name: e.stage for e in getattr(after.fit.model.physics, "effects", ())}
         if all(stages.get(n) == "sensor" for n in added) or gain > PLAIN * new.samples:
             return None
@@ -151,7 +160,7 @@ class HeldOut:
             old, new = self.foresight(before), self.foresight(after)
         except GreyboxError:
             return False
-        return new.loglik - old.loglik > PLAIN * new.samples and nearer(old, new)
+        return new.loglik - old.loglik > PLAIN * new.samples and fallen(old, new)
 
     def outdoes(self, now: Fit, instead: Fit) -> bool:
         """Whether errors ahead are clearly lower with the fit `now` than with `instead`, or cannot be had with `instead`."""
@@ -160,7 +169,7 @@ class HeldOut:
         except GreyboxError:
             return False
         try:
-            return nearer(self.of(instead.model), new)
+            return fallen(self.of(instead.model), new)
         except GreyboxError:
             return True
 
@@ -177,7 +186,7 @@ def unseen(after: NestedFit, effects: Sequence[str], null: Mapping[str, float]) 
     return Withheld(effects=tuple(effects), reason="no parameter of it is two standard errors from none")
 
 
-def nearer(old: Foresight, new: Foresight) -> bool:
+def fallen(old: Foresight, new: Foresight) -> bool:
     """Whether errors ahead fall by what proves a name."""
     fall, spread = ahead_gain(old, new)
     return fall > PROVEN and fall > SURE * spread

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import TIMING, candidates
+from greybox.discovery.carried import carried, is_carried, may_carry, memories, put_down, whitens
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
 from greybox.discovery.leftover import ENOUGH, Promoted, promote
@@ -32,7 +33,6 @@ from greybox.discovery.sensor_noise import (
     filtered_after_all,
     filtered_imu,
     may_be_filtered,
-    parts_of,
     plain_model,
     sensor_table,
     unfiltered,
@@ -40,7 +40,7 @@ from greybox.discovery.sensor_noise import (
 from greybox.discovery.spectrum import spectrum
 from greybox.discovery.stability import stability
 from greybox.discovery.velocity import drifts
-from greybox.discovery.verify import gap_rows, verified
+from greybox.discovery.verify import Verified, gap_rows, verified
 from greybox.discovery.veto import HeldOut, Withheld, unseen
 from greybox.discovery.written import lawful_model
 from greybox.errors import GreyboxError, UnknownNameError
@@ -49,6 +49,9 @@ from greybox.model.effect import Effect
 from greybox.model.vehicle import Vehicle
 
 POWER = 0.9
+TRIES = 6
+"""Candidates of one step that may fail to prove themselves before a search that carries what is left stops: each costs fits
+with disturbance states."""
 Progress = Callable[[str, float], None]
 
 
@@ -110,8 +113,8 @@ def discover(
     held_out = judge if judged is not train else None
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
-        # A model file has white sensors: what was saved without their noise models stands until the end.
-        if save is not None and not parts_of(now.fit.model.dynamics):
+        # A model file has white noise: what was saved without other noise models stands until the end.
+        if save is not None and now.fit.model.dynamics is now.fit.model.physics:
             save(
                 Discovery(
                     verdict=_verdict(found, None), additions=tuple(found), fit=now.fit, final=now,
@@ -148,6 +151,12 @@ def discover(
     enough: dict[str, Any] = {} if offered.blind else {"iterations": ENOUGH}
     before = promote(null.fit, train, seed=seed, memory=False, **enough) if at is not null else None
     last = verified(nest, at, additions, train, held_out, before=before, seed=seed)
+    if held_out is not None and not offered.blind and may_carry(last.first):
+        say("search with what is left carried along", 0.82)
+        on = _go_on(search, done, last, seed)
+        if on is not None:
+            (nest, scores), last, settings["carried"] = (on[0].nest, on[0].scores), on[1], memories(on[0].at.fit)
+            warnings += on[0].warnings
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
@@ -240,7 +249,8 @@ class _Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Search:
-    """Screen, add, repeat, prune: with the settings of one run. `may_filter`: whether a filter of the IMU may come in."""
+    """Screen, add, repeat, prune: with the settings of one run. `may_filter`: whether a filter of the IMU may come in;
+    `carries`: whether what is left is carried along, and names must prove themselves or explain it."""
 
     held_out: HeldOut | None
     alpha: float
@@ -249,18 +259,23 @@ class _Search:
     say: Progress
     interim: Callable[[NestedFit, Iterable[Addition]], None]
     may_filter: bool = True
+    carries: bool = False
 
     def run(self, nest: Nest, at: NestedFit, before: _Found | None = None) -> _Found:
         """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself."""
         additions, withheld, warnings = list[Addition](), list[Withheld](), list[str]()
         scores: list[Score] = []
         filters: dict[str, float] = {}
+        spared: set[str] = set()
         if before is not None:
             filters |= before.filters
-            at, additions, warnings = prune(nest, at, before.additions, single=True)
+            if self.carries:  # what a disturbance can take up has lost power, not its evidence
+                additions, spared = list(before.additions), set(at.effects)
+            else:
+                at, additions, warnings = prune(nest, at, before.additions, single=True)
         ready: list[Score] | None = None
         plain: tuple[Nest, NestedFit] | None = None
-        for step in range(self.max_effects + 1):
+        for step in range(len(additions), self.max_effects + 1):
             if drifts(at.fit.model):
                 scores = []
                 warnings.append(
@@ -273,7 +288,7 @@ class _Search:
                 if any(s.judged and s.p_family <= self.alpha for s in scores):
                     warnings.append(f"stopped at {self.max_effects} additions: more would pass the tests")
                 break
-            found, refused_now = _earned(nest, at, scores, self.alpha, self.held_out)
+            found, refused_now = _earned(nest, at, scores, self.alpha, self.held_out, self.carries)
             withheld += refused_now
             if found is None:
                 break
@@ -292,7 +307,7 @@ class _Search:
             additions.append(found)
             at = found.after
             self.interim(at, additions)
-        at, additions, removed = prune(nest, at, additions)
+        at, additions, removed = prune(nest, at, additions, spared=spared)
         done = _Found(
             nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
             filters=filters,
@@ -317,10 +332,28 @@ class _Search:
         return nest.screen(at, alpha=self.alpha, seed=self.seed)
 
 
+def _go_on(search: _Search, done: _Found, last: Verified, seed: int) -> tuple[_Found, Verified] | None:
+    """What a search finds that carries along what is left, and what that leaves; None where it names nothing more, or where
+    what is left follows a law next to the new names: they fit only half."""
+    data = done.nest.data
+    nest, at = carried(done.nest, last.at, last.first)
+    before = replace(done, nest=nest, at=at, additions=last.additions, warnings=[], withheld=[])
+    found = replace(search, may_filter=False, carries=True).run(nest, at, before)
+    if {n for a in found.additions for n in a.effects} <= set(at.effects):
+        return None
+    leftover = promote(put_down(found.at.fit, data), data, seed=seed)
+    if leftover.laws:
+        return None
+    withheld = [*last.withheld, *found.withheld]
+    return found, replace(last, at=found.at, additions=found.additions, withheld=withheld, leftover=leftover, written=None)
+
+
 def _earned(
-    nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, held_out: HeldOut | None
+    nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, held_out: HeldOut | None, carries: bool = False
 ) -> tuple[Addition | None, list[Withheld]]:
-    """The best addition that flights which were not searched do not contradict, and those that they did."""
+    """The best addition that flights which were not searched do not contradict, and those that they did. Where what is left
+    is carried along (`carries`) these flights must speak for it, and prove it unless it makes innovations white: `TRIES`
+    tries, its rivals included."""
     withheld: list[Withheld] = []
     contradicted: list[Addition] = []
     while True:
@@ -328,14 +361,24 @@ def _earned(
         refused = {frozenset(w.effects) for w in withheld}
         out = {w.effects[0] for w in withheld if len(w.effects) == 1}
         found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha, refused)
-        refusal = None if found is None else unseen(found.after, found.effects, nest.candidates.null)
-        if refusal is None and found is not None and held_out is not None:
-            refusal = held_out.withheld(found.before, found.after)
+        if found is None or (carries and len(withheld) >= TRIES):
+            return None, withheld
+        doubt = carries and not whitens(at.fit, found.after.fit)
+        refusal = unseen(found.after, found.effects, nest.candidates.null)
+        if refusal is None and held_out is not None:
+            refusal = held_out.withheld(found.before, found.after, supported=carries, nearer=doubt)
             if refusal is not None:
                 contradicted.append(found)
             elif (other := stands_in(nest, found, contradicted)) is not None:
                 reason = f"it adds nothing to {' and '.join(other.effects)}, which is far likelier and was withheld"
                 refusal = Withheld(effects=found.effects, reason=reason)
+            elif doubt:
+                others = [tuple(n.split("+")) for n in found.rivals if n != "+".join(found.effects)]
+                fits = [nest.refit((*at.effects, *o), start=found.after) for o in others]
+                unproven = [w for f in fits if (w := held_out.withheld(at, f, supported=True, nearer=True)) is not None]
+                withheld += unproven
+                if unproven:
+                    continue
         if refusal is None:
             return found, withheld
         withheld.append(refusal)
@@ -343,12 +386,19 @@ def _earned(
 
 def _errors(
     held_out: HeldOut | None, null: NestedFit, additions: Sequence[Addition]
-) -> tuple[list[dict[str, Any]], ...]:
-    """Errors on flights that were not searched before any addition and after each; empty without such flights."""
+) -> tuple[dict[str, Any], ...]:
+    """Errors on flights that were not searched before any addition and after each, and between them where what was left is
+    carried along from there on; empty without such flights."""
     if held_out is None:
         return ()
-    first = additions[0].before if additions else null
-    return tuple(held_out.errors(f) for f in (first, *(a.after for a in additions)))
+    at = additions[0].before if additions else null
+    rows = [{"added": [], "carried": False, "errors": held_out.errors(at)}]
+    for a in additions:
+        if is_carried(a.after.fit) and not is_carried(at.fit):
+            rows.append({"added": [], "carried": True, "errors": held_out.errors(a.before)})
+        at = a.after
+        rows.append({"added": list(a.effects), "carried": is_carried(at.fit), "errors": held_out.errors(at)})
+    return tuple(rows)
 
 
 def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:

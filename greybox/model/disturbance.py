@@ -8,7 +8,7 @@ and Jorgensen 2004, Computers & Chemical Engineering 28, sec. 4).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -45,6 +45,16 @@ class Disturbed:
         if name.startswith("__") or name == "inner":
             raise AttributeError(name)
         return getattr(self.inner, name)
+
+    def without_effect(self, *names: str) -> Disturbed:
+        """As the inner model's, with the same disturbances."""
+        inner: Any = self.inner
+        return replace(self, inner=inner.without_effect(*names))
+
+    def with_effect(self, *effects: Any) -> Disturbed:
+        """As the inner model's, with the same disturbances."""
+        inner: Any = self.inner
+        return replace(self, inner=inner.with_effect(*effects))
 
     @cached_property
     def _rows(self) -> tuple[int, ...]:

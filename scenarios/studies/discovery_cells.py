@@ -29,6 +29,7 @@ from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants.airframe import Airframe
 from scenarios.plants.controller import Gains
 from scenarios.plants.flight_log import Reference, fly, member
+from scenarios.plants.noise import ProcessNoise
 from scenarios.plants.presets import (
     DEFAULT,
     DUCKIEDRONE,
@@ -83,9 +84,23 @@ FIVES = (
 
 
 @dataclass(frozen=True, kw_only=True)
+class Gusts:
+    """RMS of a first-order Gauss-Markov force (share of the weight) and torque (as angular acceleration, `turn` [rad/s^2])
+    on every axis, and how long it lasts."""
+
+    force: float
+    turn: float
+    seconds: float
+
+
+GUSTS = Gusts(force=0.03, turn=2.0, seconds=0.3)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cell:
     """`hidden` effects at a `size` (a name of `SIZES`, or "flight": where it matters in flight), nominal values "exact" or
-    "off", sensor `noise` "white" or "coloured", `columns` one of `COLUMNS`, `rate` [Hz] of controller and log."""
+    "off", `noise` "white", "coloured" (that of the sensors) or "gusts" (of force and torque), `columns` one of
+    `COLUMNS`, `rate` [Hz] of controller and log."""
 
     vehicle: str = "x250"
     hidden: tuple[str, ...] = ()
@@ -190,15 +205,26 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
     return out
 
 
+def gusts(calm: Quadrotor) -> ProcessNoise:
+    """Force and torque that come and go, on top of the noise of the `calm` vehicle: what every real vehicle feels and no
+    effect of a catalogue explains."""
+    frame, level = calm.airframe, (2 / GUSTS.seconds) ** 0.5
+    twist = tuple(level * GUSTS.turn * float(j) for j in frame.inertia)
+    return replace(
+        calm.process, drift_force=level * GUSTS.force * float(frame.mass) * 9.81,
+        drift_torque=(twist[0], twist[1], twist[2]), drift_time=GUSTS.seconds,
+    )  # fmt: skip
+
+
 def plant_of(cell: Cell) -> tuple[Quadrotor, float | None]:
     """(the plant with its hidden effects, the multiple of the noise that the size is; None where it was not asked for)."""
-    frame = FRAMES[cell.vehicle]
-    chosen = [effect_of(n, frame) for n in cell.hidden]
-    if cell.size == "flight" or not chosen:
-        return MAKERS[cell.vehicle](chosen), None
-    unit = in_noise(cell.vehicle, cell.seconds).get(cell.hidden[0], 0.0)
-    factor = min(SIZES[cell.size] / unit, LARGEST) if unit > 0 else 1.0
-    return MAKERS[cell.vehicle]([scaled(chosen[0], factor)]), factor * unit
+    frame, maker = FRAMES[cell.vehicle], MAKERS[cell.vehicle]
+    chosen, size = [effect_of(n, frame) for n in cell.hidden], None
+    if cell.size != "flight" and chosen:
+        unit = in_noise(cell.vehicle, cell.seconds).get(cell.hidden[0], 0.0)
+        factor = min(SIZES[cell.size] / unit, LARGEST) if unit > 0 else 1.0
+        chosen, size = [scaled(chosen[0], factor)], factor * unit
+    return maker(chosen, process=gusts(maker()) if cell.noise == "gusts" else None), size
 
 
 def nominal(plant: Quadrotor, how: str, seed: int) -> Vehicle:

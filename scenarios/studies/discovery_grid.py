@@ -171,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=_seeds, default=[1], help="1,2,5 or 1000:1020")
     parser.add_argument("--vehicle", default="x250", help=", ".join(MAKERS))
     parser.add_argument("--nominal", default="off", help="exact, off")
-    parser.add_argument("--noise", default="white", choices=("white", "coloured"))
+    parser.add_argument("--noise", default="white", choices=("white", "coloured", "gusts"))
     parser.add_argument("--columns", default="full", help=", ".join(COLUMNS))
     parser.add_argument("--rate", type=float, default=100.0, help="samples per second")
     parser.add_argument("--seconds", type=float, default=16.0)

@@ -98,7 +98,8 @@ def ladder(found: Discovery) -> str:
         errors = [e for e in row["errors"] if e["horizon_s"] in HORIZONS]
         if not lines:
             lines.append(f"{'model':34s}" + "".join(f"{head_of(e):>17s}" for e in errors))
-        label = "+ " + " and ".join(row["added"]) if row["added"] else "bare core"
+        start = "what is left carried along" if row["carried"] else "bare core"
+        label = "+ " + " and ".join(row["added"]) if row["added"] else start
         lines.append(f"{label:34s}" + "".join(f"{e['rmse']:17.4f}" for e in errors))
     return "\n".join(lines)
 
