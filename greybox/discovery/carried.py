@@ -11,15 +11,21 @@ elsewhere; where they are not, a name must make them so (`whitens`) or prove its
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from greybox.data import Dataset
 from greybox.discovery.leftover import Promoted
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.sensor_noise import suspicious, with_levels
+from greybox.discovery.sensor_noise import coloured, suspicious, tested, with_levels
 from greybox.estimation.fit import Fit
 from greybox.model.disturbance import Disturbed
+
+PLAINLY = 0.01
+"""Level above which innovations that were not white count as cured: one that trembles about a limit is not."""
 
 
 def may_carry(leftover: Promoted) -> bool:
@@ -27,22 +33,27 @@ def may_carry(leftover: Promoted) -> bool:
     return leftover.known and bool(leftover.unnamed) and not leftover.laws
 
 
-def carried(nest: Nest, at: NestedFit, leftover: Promoted) -> tuple[Nest, NestedFit]:
-    """The candidates on a model with the disturbance states of the `leftover` of `at`, time constants free in every fit, and
-    the fit of `at` there."""
+def with_states(nest: Nest, groups: Iterable[str]) -> Nest:
+    """The same candidates on a model with disturbance states of `groups`, whose time constants are free in every fit."""
+    offered, chosen = nest.candidates, tuple(groups)
+    model: Any = Disturbed(inner=offered.model, groups=chosen)
+    core = (*offered.core, *(f"disturbance.{g}.T" for g in chosen))
+    return replace(nest, candidates=replace(offered, model=model, core=core), recent=[])
+
+
+def carried(nest: Nest, at: NestedFit, leftover: Promoted) -> tuple[Nest, NestedFit] | None:
+    """The candidates on a model with the disturbance states of the `leftover` of `at`, and the fit of `at` there; None where
+    that finds no optimum that is likelier than `at`."""
     states: Any = leftover.fit.model.dynamics
-    offered = nest.candidates
-    model: Any = Disturbed(inner=offered.model, groups=states.groups)
-    times = tuple(f"disturbance.{g}.T" for g in states.groups)
-    again = replace(nest, candidates=replace(offered, model=model, core=(*offered.core, *times)), recent=[])
+    again = with_states(nest, states.groups)
     problem = leftover.fit.problem
     levels = {
         (u.name, u.flight): float(t) for u, t in zip(problem.unknowns, leftover.fit.theta, strict=True)
-        if u.kind == "noise" or u.name in times
+        if u.kind == "noise" or u.name.startswith("disturbance.")
     }  # fmt: skip
     task = again.task(at.effects, start=at)
-    starts = tuple(dict(known) | levels for known in task.starts)
-    return again, again.settle(again.refits([replace(task, starts=starts)])[0])
+    refit = again.contest([replace(task, starts=tuple(dict(known) | levels for known in task.starts))])[0]
+    return (again, again.settle(refit)) if refit.comparable and refit.bic < at.bic else None
 
 
 def put_down(found: Fit, data: Dataset) -> Fit:
@@ -52,9 +63,14 @@ def put_down(found: Fit, data: Dataset) -> Fit:
 
 
 def whitens(before: Fit, after: Fit) -> bool:
-    """Whether innovations that were clearly not white `before` are `after`, and none the other way round; or all are."""
-    left = set(suspicious(after))
-    return not left or left < set(suspicious(before))
+    """Whether all innovations are white `after`, or some plainly are that clearly were not `before`, and none the other way
+    round. What is too short to be tested is not white."""
+    had, now = tested(before), tested(after)
+    left = {n for n, c in now.items() if coloured(c)}
+    cured = {n for n, c in had.items() if coloured(c)} - left
+    if not now or not left:
+        return bool(now)
+    return bool(cured) and left <= set(suspicious(before)) and all(now[n].test.p_value > PLAINLY for n in cured & set(now))
 
 
 def is_carried(found: Fit) -> bool:
@@ -62,7 +78,8 @@ def is_carried(found: Fit) -> bool:
     return isinstance(found.model.dynamics, Disturbed)
 
 
-def memories(found: Fit) -> dict[str, float]:
-    """Correlation times [s] of force and torque in a fit that carries them."""
-    states: Any = found.model.dynamics
-    return {g: float(found.model.values[f"disturbance.{g}.T"]) for g in states.groups}
+def memories(found: Fit, leftover: Promoted) -> dict[str, float]:
+    """Correlation times [s] of force and torque in a fit that carries them, of those of which something is left."""
+    there = {a.channel.split(".")[0] for a in leftover.unnamed}
+    own = {n.split(".")[1]: e for n, e in found.parameters.items() if n.startswith("disturbance.")}
+    return {g: float(e.value) for g, e in own.items() if g in there and np.isfinite(e.std)}

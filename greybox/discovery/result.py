@@ -63,7 +63,9 @@ class Discovery:
 
     @property
     def model(self) -> IdentifiedModel:
-        """The improved model, its sensors white. Raises `GreyboxError` where bad data stopped the search."""
+        """The improved model, its sensors white, with states of force and torque where what is left was carried along.
+
+        Raises `GreyboxError` where bad data stopped the search."""
         if self.fit is None:
             raise GreyboxError("no model: the data have blocking faults", fix="mend the log, then run again")
         return self.fit.model if self.plain is None else self.plain

@@ -29,7 +29,7 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.disturbance import Disturbed
 from greybox.model.identified import IdentifiedModel
 from greybox.model.sensor_noise import NoisePart, SensorNoise, white
-from greybox.validation.whiteness import whiteness
+from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
 CLEAR = 10.0
 """BIC difference above which a kind of noise stays."""
@@ -68,6 +68,7 @@ class Suspected:
 
 def parts_of(dynamics: Any) -> tuple[NoisePart, ...]:
     """The noise parts of a model, none where its sensors are white."""
+    dynamics = dynamics.inner if isinstance(dynamics, Disturbed) else dynamics
     return dynamics.parts if isinstance(dynamics, SensorNoise) else ()
 
 
@@ -279,15 +280,25 @@ def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     )  # fmt: skip
 
 
-def suspicious(fitted: Fit) -> tuple[str, ...]:
-    """Innovation components that are clearly not white."""
+def tested(fitted: Fit) -> dict[str, ChannelWhiteness]:
+    """Innovation component -> test of its whiteness, of those that can be tested."""
     names = fitted.model.dynamics.innovations.names
     records = [e for es in fitted.innovations.values() for e in es if len(e) > 4 * LAGS]
     live = [j for j in range(len(names)) if any(np.isfinite(e[:, j]).any() for e in records)]
     if not records or not live:
-        return ()
+        return {}
     test = whiteness([e[:, live] for e in records], names=[names[j] for j in live], max_lag=LAGS)
-    return tuple(c.name for c in test.channels if c.test.p_value < WHITE and c.predictable > PREDICTABLE)
+    return {c.name: c for c in test.channels}
+
+
+def coloured(channel: ChannelWhiteness) -> bool:
+    """Whether the component is clearly not white."""
+    return channel.test.p_value < WHITE and channel.predictable > PREDICTABLE
+
+
+def suspicious(fitted: Fit) -> tuple[str, ...]:
+    """Innovation components that are clearly not white."""
+    return tuple(n for n, c in tested(fitted).items() if coloured(c))
 
 
 def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]]:

@@ -13,6 +13,8 @@ checks stand against that.
    effect only bends towards something else: the name is taken back and the axis is reported as unnamed.
    A name that made held-out flights far more likely and let their open-loop errors fall clearly has proven itself and
    stays: in a real vehicle much is always left.
+
+Where what is left is carried along (greybox.discovery.carried) the second check has no sense; the first is stricter then.
 """
 
 from __future__ import annotations
@@ -124,8 +126,9 @@ class HeldOut:
     def withheld(
         self, before: NestedFit, after: NestedFit, *, supported: bool = False, nearer: bool = False
     ) -> Withheld | None:
-        """Why what `after` adds to `before` does not hold on these flights; None where it does or cannot be asked. With
-        `supported` it must have made them clearly likelier, with `nearer` errors ahead must have fallen clearly."""
+        """Why what `after` adds to `before` does not hold on these flights; None where it does or, without the following, it
+        cannot be asked. With `supported` it must have made them clearly likelier, with `nearer` errors ahead must have
+        fallen clearly, which any constant brings about where a law is missing."""
         added = tuple(e for e in after.effects if e not in before.effects)
         try:
             old, new = self.foresight(before), self.foresight(after)
@@ -137,6 +140,9 @@ class HeldOut:
         error = float(change.std(ddof=1) * np.sqrt(change.size)) if change.size > 1 else 0.0
         if gain <= CONTRADICTED * error or before.bic - after.bic + 2 * gain < CLEAR:
             reason = "one-step errors of flights that were not searched speak against it"
+            return Withheld(effects=added, reason=reason, loglik_gain=gain)
+        if nearer and set(added) <= CONSTANT:
+            reason = "much is left, and any constant brings it nearer"
             return Withheld(effects=added, reason=reason, loglik_gain=gain)
         if (supported and gain <= -CONTRADICTED * error) or (nearer and not fallen(old, new)):
             reason = "much is left, and flights that were not searched do not prove it"

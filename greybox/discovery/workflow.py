@@ -1,14 +1,15 @@
 """discover: the whole loop, from a vehicle file and flights to named effects, or an honest no.
 
 faults -> null fit -> screen -> add (loop, with a backward re-test) -> leftover -> gap before and after. The null model has
-white force and torque noise and no disturbance states: process noise that is correlated would hide what is missing.
+white force and torque noise and no disturbance states: process noise that is correlated would hide what is missing. Only
+where much is left that follows no law does the search go on with such states (greybox.discovery.carried).
 """
 
 from __future__ import annotations
 
 import concurrent.futures
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,7 +50,7 @@ from greybox.model.effect import Effect
 from greybox.model.vehicle import Vehicle
 
 POWER = 0.9
-TRIES = 6
+TRIES = 12
 """Candidates of one step that may fail to prove themselves before a search that carries what is left stops: each costs fits
 with disturbance states."""
 Progress = Callable[[str, float], None]
@@ -151,17 +152,23 @@ def discover(
     enough: dict[str, Any] = {} if offered.blind else {"iterations": ENOUGH}
     before = promote(null.fit, train, seed=seed, memory=False, **enough) if at is not null else None
     last = verified(nest, at, additions, train, held_out, before=before, seed=seed)
+    before = before or last.leftover
     if held_out is not None and not offered.blind and may_carry(last.first):
         say("search with what is left carried along", 0.82)
-        on = _go_on(search, done, last, seed)
+        interim(last.at, last.additions)
+        try:
+            on = _go_on(search, done, last, seed)
+        except GreyboxError as error:
+            on = None
+            warnings.append(f"no search with what is left carried along: {error}")
         if on is not None:
-            (nest, scores), last, settings["carried"] = (on[0].nest, on[0].scores), on[1], memories(on[0].at.fit)
+            nest, scores, last = on[0].nest, on[0].scores, on[1]
+            settings["carried"] = memories(last.at.fit, last.leftover)
             warnings += on[0].warnings
     at, additions, leftover = last.at, last.additions, last.leftover
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not set(w.effects) <= named]
-    before = before or leftover
     if not leftover.known:
         warnings.append("no law of what is left was sought: with disturbance states the model has no finite prediction")
     say("flight by flight", 0.88)
@@ -195,7 +202,7 @@ def discover(
     for a in additions:
         if a.rivals:
             say(f"what separates {' and '.join(a.rivals)}", 0.97)
-            separating[a.effects] = _separating(nest, a)
+            separating[a.effects] = _separating(nest if is_carried(a.before.fit) else done.nest, a)
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not (s.judged or s.refit)}
     if unscored := [s.name for s in scores if s.refit]:
         warnings.append(
@@ -262,7 +269,8 @@ class _Search:
     carries: bool = False
 
     def run(self, nest: Nest, at: NestedFit, before: _Found | None = None) -> _Found:
-        """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself."""
+        """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself, unless
+        this search carries what is left along."""
         additions, withheld, warnings = list[Addition](), list[Withheld](), list[str]()
         scores: list[Score] = []
         filters: dict[str, float] = {}
@@ -336,24 +344,33 @@ def _go_on(search: _Search, done: _Found, last: Verified, seed: int) -> tuple[_F
     """What a search finds that carries along what is left, and what that leaves; None where it names nothing more, or where
     what is left follows a law next to the new names: they fit only half."""
     data = done.nest.data
-    nest, at = carried(done.nest, last.at, last.first)
+    begun = carried(done.nest, last.at, last.first)
+    if begun is None:
+        return None
+    nest, at = begun
     before = replace(done, nest=nest, at=at, additions=last.additions, warnings=[], withheld=[])
     found = replace(search, may_filter=False, carries=True).run(nest, at, before)
     if {n for a in found.additions for n in a.effects} <= set(at.effects):
         return None
-    leftover = promote(put_down(found.at.fit, data), data, seed=seed)
+    leftover = promote(put_down(found.at.fit, data), data, seed=seed, free=found.at.fit.parameters)
     if leftover.laws:
         return None
+    lost = [
+        f"{n} was named before what is left was carried along; with it no parameter is two standard errors from none"
+        for a in last.additions for n in a.effects if unseen(found.at, (n,), nest.candidates.null) is not None
+    ]  # fmt: skip
     withheld = [*last.withheld, *found.withheld]
-    return found, replace(last, at=found.at, additions=found.additions, withheld=withheld, leftover=leftover, written=None)
+    return replace(found, warnings=[*found.warnings, *lost]), replace(
+        last, at=found.at, additions=found.additions, withheld=withheld, leftover=leftover, written=None
+    )
 
 
 def _earned(
     nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, held_out: HeldOut | None, carries: bool = False
 ) -> tuple[Addition | None, list[Withheld]]:
     """The best addition that flights which were not searched do not contradict, and those that they did. Where what is left
-    is carried along (`carries`) these flights must speak for it, and prove it unless it makes innovations white: `TRIES`
-    tries, its rivals included."""
+    is carried along (`carries`) these flights must speak for it and, unless it makes innovations white, errors ahead must
+    fall there, clearly more than with a rival: `TRIES` tries."""
     withheld: list[Withheld] = []
     contradicted: list[Addition] = []
     while True:
@@ -363,7 +380,7 @@ def _earned(
         found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha, refused)
         if found is None or (carries and len(withheld) >= TRIES):
             return None, withheld
-        doubt = carries and not whitens(at.fit, found.after.fit)
+        doubt = carries and not _plain(at, found)
         refusal = unseen(found.after, found.effects, nest.candidates.null)
         if refusal is None and held_out is not None:
             refusal = held_out.withheld(found.before, found.after, supported=carries, nearer=doubt)
@@ -372,16 +389,38 @@ def _earned(
             elif (other := stands_in(nest, found, contradicted)) is not None:
                 reason = f"it adds nothing to {' and '.join(other.effects)}, which is far likelier and was withheld"
                 refusal = Withheld(effects=found.effects, reason=reason)
-            elif doubt:
-                others = [tuple(n.split("+")) for n in found.rivals if n != "+".join(found.effects)]
-                fits = [nest.refit((*at.effects, *o), start=found.after) for o in others]
-                unproven = [w for f in fits if (w := held_out.withheld(at, f, supported=True, nearer=True)) is not None]
-                withheld += unproven
-                if unproven:
+            elif doubt and found.rivals:
+                behind = _outdone(nest, at, found, held_out, refused)
+                withheld += behind
+                if behind:
                     continue
         if refusal is None:
             return found, withheld
         withheld.append(refusal)
+
+
+def _plain(at: NestedFit, found: Addition) -> bool:
+    """Whether the tests hold for an addition to `at` that carries what is left: innovations become white. Next to a lag or a
+    delay all must be, or it may stand in for a filter of the IMU, whose noise is coloured."""
+    late = set(TIMING) & set(found.effects)
+    return whitens(found.after.fit if late else at.fit, found.after.fit)
+
+
+def _outdone(
+    nest: Nest, at: NestedFit, found: Addition, held_out: HeldOut, refused: Collection[frozenset[str]]
+) -> list[Withheld]:
+    """The rivals of `found` with which errors ahead on flights that were not searched stay clearly larger."""
+    estimates = {k: v for s in found.scores for k, v in s.estimate.items()}
+    out = []
+    for rival in (tuple(n.split("+")) for n in found.rivals):
+        if set(rival) & set(found.effects) or frozenset(rival) in refused:
+            continue
+        first = {k: v for k, v in estimates.items() if k[0].split(".")[0] in rival}
+        other = nest.refit((*at.effects, *rival), start=at, first=first)
+        if held_out.outdoes(found.after.fit, other.fit):
+            reason = f"errors ahead on flights that were not searched fall clearly more with {' and '.join(found.effects)}"
+            out.append(Withheld(effects=rival, reason=reason))
+    return out
 
 
 def _errors(
@@ -391,7 +430,7 @@ def _errors(
     carried along from there on; empty without such flights."""
     if held_out is None:
         return ()
-    at = additions[0].before if additions else null
+    at = additions[0].before if additions and not is_carried(additions[0].before.fit) else null
     rows = [{"added": [], "carried": False, "errors": held_out.errors(at)}]
     for a in additions:
         if is_carried(a.after.fit) and not is_carried(at.fit):
@@ -408,10 +447,10 @@ def _separating(nest: Nest, addition: Addition) -> dict[str, Any] | None:
         return None  # another sensor tells them apart, no manoeuvre does
     if not {n for name in addition.rivals for n in name.split("+")} <= set(nest.candidates.parameters):
         return None  # one of them has nothing to be seen with in these logs
-    fits = {
-        name: nest.unled((*before.effects, *name.split("+")), before).fit for name in addition.rivals
-    }  # fmt: skip
     try:
+        fits = {
+            name: nest.unled((*before.effects, *name.split("+")), before).fit for name in addition.rivals
+        }  # fmt: skip
         return separating_manoeuvre(fits)
     except GreyboxError:
         return None

@@ -330,6 +330,17 @@ def _withheld(report: Report, content: Mapping[str, Any]) -> None:
     report.table(["effect", "why"], [[_list(w["effects"]), w["reason"]] for w in rows])
 
 
+def _states_alone(content: Mapping[str, Any]) -> str:
+    """Errors half a second ahead with these states and no further name, and with the last name."""
+    rows = [r["errors"] for r in content["held_out_errors"] if r["carried"]]
+    if len(rows) < 2:
+        return ""
+    there = {e["group"]: e["rmse"] for e in rows[0] if e["horizon_s"] == 0.5}
+    last = {e["group"]: e["rmse"] for e in rows[-1] if e["horizon_s"] == 0.5}
+    parts = [f"{g.replace('_', ' ')} {there[g]:.3g} -> {last[g]:.3g}" for g in there if g in last]
+    return f" From the states alone to all names, half a second ahead: {', '.join(parts)}." if parts else ""
+
+
 def _gap(report: Report, content: Mapping[str, Any]) -> None:
     rows = content["gap"]
     if not rows:
@@ -341,6 +352,11 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
         "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay "
         "above it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
     )
+    if content["settings"].get("carried"):
+        report.paragraph(
+            "The model after the additions carries what is left along as states of force and torque: it also predicts "
+            "better by what they know of the next tenths of a second." + _states_alone(content)
+        )
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
     panels: list[tuple[Figure, str]] = []

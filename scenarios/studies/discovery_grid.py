@@ -93,7 +93,8 @@ def run(cell: Cell, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
             if cell.hidden and found.final is not None:
                 groups = [list(a.rivals) for a in found.additions if a.rivals]
                 with contextlib.suppress(GreyboxError):  # an oracle that fails says nothing of the search
-                    row["oracle"] = oracle(said, train, test, row["truth"], found.final, groups)
+                    lasting = ("force", "torque") if cell.noise == "gusts" else ()
+                    row["oracle"] = oracle(said, train, test, row["truth"], found.final, groups, lasting)
         yield row
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
+from greybox.discovery.carried import with_states
 from greybox.discovery.gap import NOTHING
 from greybox.discovery.nested import Nest, NestedFit, led
 from greybox.discovery.veto import HeldOut
@@ -25,10 +26,11 @@ AHEAD = 0.5
 
 def oracle(
     vehicle: Vehicle, train: Dataset, test: Dataset, truth: Mapping[str, float], final: NestedFit,
-    groups: Iterable[Sequence[str]] = (),
+    groups: Iterable[Sequence[str]] = (), lasting: Iterable[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with; `groups`: the rivals of
-    every group that it left, a or a+b each.
+    every group that it left, a or a+b each; `lasting`: "force", "torque" where the plant's gusts are, which the oracle
+    knows.
 
     gain      BIC without any addition less that of the oracle; None where an effect cannot be judged with these columns
     rivals    rival -> BIC with it in place of its group's effects, less the oracle's
@@ -40,6 +42,7 @@ def oracle(
     if not set(names) <= set(offered.names):
         return {"gain": None, "rivals": {}, "affected": None, "closed": None}
     nest = Nest(candidates=offered, data=led(train))
+    nest = with_states(nest, states) if (states := tuple(lasting)) else nest
     null = nest.refit(())
     task = nest.task(names, start=null, first={(n, None): v for n, v in truth.items()})
     if set(names) & set(offered.moving):
