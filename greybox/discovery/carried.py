@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data import Dataset
 from greybox.discovery.leftover import Promoted
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.sensor_noise import coloured, suspicious, tested, with_levels
+from greybox.discovery.sensor_noise import coloured, suspicious, tested
 from greybox.estimation.fit import Fit
 from greybox.model.disturbance import Disturbed
 
@@ -54,12 +53,6 @@ def carried(nest: Nest, at: NestedFit, leftover: Promoted) -> tuple[Nest, Nested
     task = again.task(at.effects, start=at)
     refit = again.contest([replace(task, starts=tuple(dict(known) | levels for known in task.starts))])[0]
     return (again, again.settle(refit)) if refit.comparable and refit.bic < at.bic else None
-
-
-def put_down(found: Fit, data: Dataset) -> Fit:
-    """The physics of `found` as it is, without its disturbance states."""
-    dynamics: Any = found.model.dynamics
-    return with_levels(found, dynamics.inner, data)
 
 
 def whitens(before: Fit, after: Fit) -> bool:

@@ -116,12 +116,8 @@ class Promoted:
         return tuple(a for a in self.unnamed if a.lawful)
 
 
-def promote(
-    found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60, memory: bool = True, free: Iterable[str] = ()
-) -> Promoted:
+def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60, memory: bool = True) -> Promoted:
     """Disturbance states on top of `found` (physics held, levels and time constants fitted), and laws for their axes.
-
-    `free`: parameters besides those of `found` that were free where its estimates come from.
 
     A dozen `iterations` are enough to show where a model that misses much is deficient; its gain is then a lower bound.
     Without `memory` laws are of what is, not of what was, and are sought in a third of the time.
@@ -139,7 +135,7 @@ def promote(
     laws: dict[str, dict[str, Any]] = {}
     if wanted:
         offered = library(found.model, result.model, data, names, wanted, memory=memory)
-        laws = laws_of(offered, result.n_samples, seed, (*found.parameters, *free))
+        laws = laws_of(offered, result.n_samples, seed, found.parameters)
     axes = tuple(
         Leftover(
             channel=c.name, unit=c.unit, rms=float(np.sqrt(np.mean((seen.y[:, j] - seen.y[:, j].mean()) ** 2))),

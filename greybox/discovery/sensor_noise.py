@@ -250,18 +250,6 @@ def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFi
     return again, again.settle(again.refits([replace(task, starts=starts)])[0])
 
 
-def with_levels(found: Fit, dynamics: Any, data: Dataset) -> Fit:
-    """The estimates of `found` in a model `dynamics` with fewer noise states: white levels, and what differs between
-    flights, are fitted."""
-    there = {d.name for d in dynamics.parameters}
-    per_flight = [n for n in found.settings["per_flight"] if n in there]
-    own = [n for n in found.model.flight_spread if n in there]
-    return fit(
-        dynamics, data, free=own, per_flight=per_flight, values=_known(found, dynamics), initialisation="noise",
-        solver=LevenbergMarquardt(tolerance=TOLERANCE), estimate_noise=found.settings["estimate_noise"],
-    )  # fmt: skip
-
-
 def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     """The model of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
     own: Any = found.model.dynamics
@@ -271,7 +259,12 @@ def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
         return found.model
     dynamics = replace(own, inner=physics) if carried else physics
     there = {d.name for d in dynamics.parameters}
-    result = with_levels(found, dynamics, data).model
+    per_flight = [n for n in found.settings["per_flight"] if n in there]
+    free = [n for n in found.model.flight_spread if n in there]
+    result = fit(
+        dynamics, data, free=free, per_flight=per_flight, values=_known(found, dynamics), initialisation="noise",
+        solver=LevenbergMarquardt(tolerance=TOLERANCE), estimate_noise=found.settings["estimate_noise"],
+    ).model  # fmt: skip
     keep = [i for i, n in enumerate(found.model.covariance_names) if n in there]
     return replace(
         result, covariance_names=tuple(found.model.covariance_names[i] for i in keep),

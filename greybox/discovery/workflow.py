@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import TIMING, candidates
-from greybox.discovery.carried import carried, is_carried, may_carry, memories, put_down, whitens
+from greybox.discovery.carried import carried, is_carried, may_carry, memories, whitens
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
 from greybox.discovery.leftover import ENOUGH, Promoted, promote
@@ -343,7 +343,6 @@ class _Search:
 def _go_on(search: _Search, done: _Found, last: Verified, seed: int) -> tuple[_Found, Verified] | None:
     """What a search finds that carries along what is left, and what that leaves; None where it names nothing more, or where
     what is left follows a law next to the new names: they fit only half."""
-    data = done.nest.data
     begun = carried(done.nest, last.at, last.first)
     if begun is None:
         return None
@@ -352,7 +351,9 @@ def _go_on(search: _Search, done: _Found, last: Verified, seed: int) -> tuple[_F
     found = replace(search, may_filter=False, carries=True).run(nest, at, before)
     if {n for a in found.additions for n in a.effects} <= set(at.effects):
         return None
-    leftover = promote(put_down(found.at.fit, data), data, seed=seed, free=found.at.fit.parameters)
+    # What is left is seen as it was before, past white noise.
+    white = done.nest.refit(found.at.effects, start=found.at, also=last.at)
+    leftover = promote(white.fit, done.nest.data, seed=seed)
     if leftover.laws:
         return None
     lost = [
