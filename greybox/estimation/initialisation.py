@@ -84,7 +84,8 @@ def noise_start(
     the variances of process and sensor noise, which follow by non-negative least squares (Odelson, Rajamani and
     Rawlings 2006, Automatica 42(2), eq. 13-19). `rounds` repeats it with the gain just found; the first `skip_seconds`
     of each record are left out. What the model misses counts as process noise, as a predictor wants it. Levels stay
-    within a factor 1000 of where they were. Returns the start unchanged where noise levels are no unknowns.
+    within a factor 1000 of where they were. A round whose levels let the prediction run away (they are those of a linear
+    filter) is not taken. Returns the start unchanged where noise levels are no unknowns.
     """
     theta = np.array(problem.start if theta is None else theta, dtype=np.float64)
     names = [f"noise.process.{n}" for n in problem.dynamics.noises.names]
@@ -104,10 +105,14 @@ def noise_start(
         level = np.clip(np.sqrt(variance) * old, 1e-3 * old, 1e3 * old)
         # A level that comes out as zero is only small: keep a share of what it was.
         level = np.maximum(level, np.where(variance > 0, 0.0, 0.1 * old))
+        told = theta.copy()
         for place, value in zip(places, level):
             if place is not None:
-                theta[place] = np.log(value)
-        theta = np.clip(theta, problem.lower, problem.upper)
+                told[place] = np.log(value)
+        told = np.clip(told, problem.lower, problem.upper)
+        if not problem.evaluate(told, 0).valid:
+            return theta
+        theta = told
     return theta
 
 
@@ -135,9 +140,7 @@ def _responses(
     a, g, c, d = values
     k, _, _, _ = riccati.gain(np.ones(c.shape[0]))
     closed = a - k @ c
-    sources = [
-        np.column_stack([(g - k @ d)[:, j], d_]) if False else ((g - k @ d)[:, j], d_) for j, d_ in enumerate(d.T)
-    ]
+    sources = [((g - k @ d)[:, j], d_) for j, d_ in enumerate(d.T)]
     sources += [(-k[:, j], np.eye(c.shape[0])[:, j]) for j in range(c.shape[0])]
     out = np.zeros((len(sources), lags + 1, c.shape[0], c.shape[0]))
     for s, ((b, through), level) in enumerate(zip(sources, np.concatenate([process, sensor]))):
