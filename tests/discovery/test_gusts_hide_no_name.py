@@ -16,6 +16,7 @@ from greybox.discovery.workflow import discover
 from greybox.model.disturbance import Disturbed
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
+from greybox.report.discover_report import discover_report
 from scenarios.plants.effects import AccelerometerBias, PlantEffect
 from scenarios.plants.presets import x250
 from scenarios.studies.discovery_cells import GUSTS, gusts
@@ -78,5 +79,6 @@ def test_the_model_that_is_handed_out_knows_the_gust_of_the_moment(tmp_path: Pat
     assert theirs.loglik == pytest.approx(ours.loglik, rel=1e-9)
     rows = found.to_dict()["held_out_errors"]
     assert [(r["added"], r["carried"]) for r in rows] == [([], False), ([], True), (["accelerometer_bias"], True)]
+    assert "From the states alone to all names, half a second ahead: position" in discover_report(found.to_dict())
     ahead = [next(e["rmse"] for e in r["errors"] if (e["group"], e["horizon_s"]) == ("velocity", 0.1)) for r in rows]
     assert np.all(np.diff(ahead) < 0)
