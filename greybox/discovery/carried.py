@@ -55,15 +55,20 @@ def carried(nest: Nest, at: NestedFit, leftover: Promoted) -> tuple[Nest, Nested
     return (again, again.settle(refit)) if refit.comparable and refit.bic < at.bic else None
 
 
+def all_white(found: Fit) -> bool:
+    """Whether innovations are white. What is too short to be tested is not."""
+    channels = tested(found)
+    return bool(channels) and not any(coloured(c) for c in channels.values())
+
+
 def whitens(before: Fit, after: Fit) -> bool:
     """Whether all innovations are white `after`, or some plainly are that clearly were not `before`, and none the other way
     round. What is too short to be tested is not white."""
-    had, now = tested(before), tested(after)
-    left = {n for n, c in now.items() if coloured(c)}
-    cured = {n for n, c in had.items() if coloured(c)} - left
+    now = tested(after)
+    was, left = set(suspicious(before)), {n for n, c in now.items() if coloured(c)}
     if not now or not left:
         return bool(now)
-    return bool(cured) and left <= set(suspicious(before)) and all(now[n].test.p_value > PLAINLY for n in cured & set(now))
+    return left < was and all(now[n].test.p_value > PLAINLY for n in (was - left) & set(now))
 
 
 def is_carried(found: Fit) -> bool:

@@ -253,11 +253,10 @@ def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFi
 def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     """The model of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
     own: Any = found.model.dynamics
-    physics: Any = found.model.physics
-    carried = isinstance(own, Disturbed)
-    if (own.inner if carried else own) is physics:
+    if not parts_of(own):
         return found.model
-    dynamics = replace(own, inner=physics) if carried else physics
+    physics: Any = found.model.physics
+    dynamics = replace(own, inner=physics) if isinstance(own, Disturbed) else physics
     there = {d.name for d in dynamics.parameters}
     per_flight = [n for n in found.settings["per_flight"] if n in there]
     free = [n for n in found.model.flight_spread if n in there]

@@ -26,7 +26,7 @@ AHEAD = 0.5
 
 def oracle(
     vehicle: Vehicle, train: Dataset, test: Dataset, truth: Mapping[str, float], final: NestedFit,
-    groups: Iterable[Sequence[str]] = (), lasting: Iterable[str] = (),
+    groups: Iterable[Sequence[str]] = (), lasting: Sequence[str] = (),
 ) -> dict[str, Any]:  # fmt: skip
     """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with; `groups`: the rivals of
     every group that it left, a or a+b each; `lasting`: "force", "torque" where the plant's gusts are, which the oracle
@@ -42,7 +42,8 @@ def oracle(
     if not set(names) <= set(offered.names):
         return {"gain": None, "rivals": {}, "affected": None, "closed": None}
     nest = Nest(candidates=offered, data=led(train))
-    nest = with_states(nest, states) if (states := tuple(lasting)) else nest
+    if lasting:
+        nest = with_states(nest, lasting)
     null = nest.refit(())
     task = nest.task(names, start=null, first={(n, None): v for n, v in truth.items()})
     if set(names) & set(offered.moving):
