@@ -61,6 +61,7 @@ def _hush(arguments: argparse.Namespace) -> Iterator[None]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     from greybox.errors import GreyboxError
+    from greybox.interrupts import kept_interrupts
 
     try:
         arguments = build_parser().parse_args(argv)
@@ -73,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 from greybox.files import check_writable
 
                 check_writable(path, folder=option == "out" and not getattr(arguments, "one_file", False))
-        with _hush(arguments) if arguments.quiet else contextlib.nullcontext():
+        with kept_interrupts(), _hush(arguments) if arguments.quiet else contextlib.nullcontext():
             code = int(arguments.run(arguments))
             sys.stdout.flush()
             return code

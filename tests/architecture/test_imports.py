@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "chi_square", "cores")
+BASE = ("symbolic", "frames", "errors", "files", "chi_square", "cores", "interrupts")
 ROOMS = ("data", "model", "estimation", "validation", "residual", "discovery", "planning", "report")
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}
 PLAIN_NUMBERS = "greybox.model.vehicle"
