@@ -59,6 +59,8 @@ def regimes(seen: Discrepancy, names: Sequence[str]) -> tuple[Regime, ...]:
         if not (np.diff(edges) > 0).all() or not (rms > 0).all():
             continue
         quarter = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, QUARTERS - 1)
+        if np.unique(quarter).size < QUARTERS:  # so few values that an edge between two of them leaves a quarter empty
+            continue
         cells = [np.sqrt((y[quarter == k] ** 2).mean(axis=0)) / rms for k in range(QUARTERS)]
         out.append(Regime(signal=label, unit=unit, edges=edges, ratio=np.stack(cells, axis=1)))
     return tuple(out)

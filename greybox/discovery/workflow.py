@@ -35,12 +35,14 @@ from greybox.discovery.stability import stability
 from greybox.discovery.verify import Verified, gap_rows, verified
 from greybox.discovery.veto import HeldOut, unseen
 from greybox.discovery.written import lawful_model
-from greybox.errors import GreyboxError, UnknownNameError
+from greybox.errors import DataError, GreyboxError, UnknownNameError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
 from greybox.model.vehicle import Vehicle
 
 POWER = 0.9
+SHORTEST_FLIGHT = 0.6
+"""Seconds without an interruption: the first tenth tells only its commands, what is left is averaged over half a second."""
 
 
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
@@ -82,6 +84,7 @@ def discover(
         faults = check(train if tested is None else train + tested, vehicle)
     if not faults.ok:
         return refused(faults, vehicle, settings=settings, seconds=time.perf_counter() - began)
+    _long_enough(train)
     offered = candidates(
         vehicle, train.channels, own=own, sample_time=sample_time(train), noncausal=train.noncausal,
         kinematic_noise=kinematic_noise,
@@ -218,6 +221,15 @@ def refused(
         verdict="bad_data", faults=blocking, omega_known=vehicle.actuator.speed_max is not None, seconds=seconds,
         settings=dict(settings or {}),
     )  # fmt: skip
+
+
+def _long_enough(train: Dataset) -> None:
+    longest = max((s.n * f.dt for f in train for s in f.segments), default=0.0)
+    if longest < SHORTEST_FLIGHT:
+        raise DataError(
+            "no training flight is long enough to search in", expected=f"{SHORTEST_FLIGHT:g} s without an interruption",
+            got=f"{longest:.2g} s at most", fix="flights of some ten seconds in which everything moves",
+        )  # fmt: skip
 
 
 def _verdict(additions: Iterable[Addition], leftover: Promoted | None) -> str:

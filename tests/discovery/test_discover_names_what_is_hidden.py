@@ -16,7 +16,7 @@ from greybox.discovery import workflow
 from greybox.discovery.result import Discovery
 from greybox.discovery.sensor_noise import Suspected
 from greybox.discovery.workflow import discover
-from greybox.errors import GreyboxError
+from greybox.errors import DataError, GreyboxError
 from greybox.files import to_plain
 from greybox.model.effects import CATALOGUE
 from scenarios.plants.effects import MotorLag, RotorDrag
@@ -219,3 +219,11 @@ def test_two_effects_of_the_whole_catalogue_are_named_in_one_search():
     assert len(found.last_scores) + len(found.unjudged) >= len(CATALOGUE) - 3
     half = [r["closed"] for r in content["gap"] if r["horizon_s"] == 0.5 and r["closed"] is not None]
     assert min(half) > 0.85
+
+
+def test_flights_that_are_too_short_are_refused_before_anything_is_said(short: None):
+    said: list[str] = []
+    stub = flown(DAMPING, seconds=0.5)
+    with pytest.raises(DataError, match=r"no training flight is long enough to search in; expected 0.6 s .* got 0.5 s"):
+        discover(vehicle(), stub, progress=lambda text, share: said.append(text), save=lambda found: said.append("saved"))
+    assert not said
