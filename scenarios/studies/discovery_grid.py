@@ -51,7 +51,7 @@ from scenarios.studies.discovery_cells import (
 )
 from scenarios.studies.discovery_oracle import oracle
 from scenarios.studies.discovery_summary import summary, write_docs
-from scenarios.studies.rows import append_row, read_rows
+from scenarios.studies.rows import append_row, open_ended, read_rows
 
 __all__ = ["ERRORS", "MAKERS", "SIGMA", "cases", "flights", "judge", "main", "run", "vehicle_of"]
 CHUNK = 24
@@ -185,6 +185,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.sizes != "flight" and options.rate != Cell().rate:
         parser.error("sizes in the noise are known at 100 Hz: --sizes flight with another --rate")
     path = Path(options.out)
+    if not options.summary:
+        open_ended(path, parser)
     rows = read_rows(path)
     if not options.summary:
         done = {_key(r) for r in rows}

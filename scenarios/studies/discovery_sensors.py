@@ -35,7 +35,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
 from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
-from scenarios.studies.rows import append_row, read_rows, wilson
+from scenarios.studies.rows import append_row, open_ended, read_rows, wilson
 
 EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
@@ -166,6 +166,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--summary", action="store_true", help="only print the table of what is there")
     options = parser.parse_args(arguments)
     path = Path(options.out)
+    if not options.summary:
+        open_ended(path, parser)
     rows = read_rows(path)
     done = {(r["vehicle"], r["ingredients"], r["effect"], r["seed"]) for r in rows}
     for seed in () if options.summary else options.seeds:

@@ -25,6 +25,8 @@ Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
 FLIGHTS, RATE = 2, 100
 """Training flights of a log, and their samples per second where a row does not say."""
+KEPT = "scenarios/results/discovery_grid.jsonl.gz"
+"""Rows behind the documentation."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
 
@@ -219,13 +221,12 @@ def summary(rows: Sequence[Row]) -> str:
     return "\n\n".join("\n".join(p) for p in parts if p)
 
 
-def write_docs(rows: Sequence[Row], folder: Path) -> None:
-    """`discovery_results.md` and two figures, from the judging seeds only."""
-    rows = [r for r in rows if r["seed"] >= JUDGING]
+def page(rows: Sequence[Row]) -> str:
+    """`discovery_results.md`, from rows of judging seeds."""
     text = [
         "# Discovery: what the grid says", "",
-        f"Written by `python -m scenarios.studies.discovery_grid --summary --docs docs`; {len(rows)} logs with seeds from "
-        f"{JUDGING} on, which nothing was tuned on. Shares with 95 % Wilson intervals.", "",
+        f"Written by `python -m scenarios.studies.discovery_grid --out {KEPT} --summary --docs docs`; {len(rows)} logs with",
+        f"seeds from {JUDGING} on, which nothing was tuned on. Shares with 95 % Wilson intervals.", "",
         *rates(rows), "", *clean_rates(rows), "",
         "The oracle is the model that is told the hidden effects, fitted to the same flights; where its BIC is not better",
         "by more than 10, the flights hardly show them.", "", *against_oracle(rows), "",
@@ -236,7 +237,13 @@ def write_docs(rows: Sequence[Row], folder: Path) -> None:
         *([f"- {x}" for x in ties(rows)] or ["None."]), "",
         "![confusion matrix](images/discovery_confusion.svg)", "", "![power](images/discovery_power.svg)", "",
     ]  # fmt: skip
-    write_atomic(folder / "discovery_results.md", "\n".join(text))
+    return "\n".join(text)
+
+
+def write_docs(rows: Sequence[Row], folder: Path) -> None:
+    """`discovery_results.md` and two figures, from the judging seeds only."""
+    rows = [r for r in rows if r["seed"] >= JUDGING]
+    write_atomic(folder / "discovery_results.md", page(rows))
     (folder / "images").mkdir(exist_ok=True)
     for name, figure in (("confusion", _confusion_figure(rows)), ("power", _power_figure(rows))):
         stream = io.StringIO()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import gzip
 import json
 import os
 from pathlib import Path
@@ -13,12 +15,24 @@ from scipy.stats import binomtest
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Rows of a file, none where it is not there; a line that was cut off counts as not there."""
     rows = []
-    for line in path.read_text().splitlines() if path.exists() else ():
+    text = "" if not path.exists() else gzip.decompress(path.read_bytes()).decode() if kept(path) else path.read_text()
+    for line in text.splitlines():
         try:
             rows.append(json.loads(line))
         except json.JSONDecodeError:
             continue
     return rows
+
+
+def kept(path: Path) -> bool:
+    """Whether the file is compressed (.gz): results of a study that has ended, to which nothing is added."""
+    return path.suffix == ".gz"
+
+
+def open_ended(path: Path, parser: argparse.ArgumentParser) -> None:
+    """Refuse, before anything is flown, to add to results that are kept."""
+    if kept(path):
+        parser.error(f"{path}: results that are kept can only be summed up; give --out another file to fly")
 
 
 def append_row(path: Path, row: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -123,6 +124,18 @@ def test_tables_and_figures_use_judging_seeds_only(tmp_path: Path):
     assert "b" in summary(rows)
     write_docs(rows, tmp_path)
     text = (tmp_path / "discovery_results.md").read_text()
-    assert "2 logs with seeds from 1000 on" in text
+    assert "2 logs with\nseeds from 1000 on" in text
     assert "wrong: b" not in text
     assert (tmp_path / "images" / "discovery_confusion.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_results_that_are_kept_can_be_summed_up_but_not_added_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "grid.jsonl.gz"
+    out.write_bytes(gzip.compress((json.dumps(row("right", ("a",), ("a",))) + "\n").encode()))
+    before = out.read_bytes()
+    discovery_grid.main(["--out", str(out), "--summary"])
+    assert "1/1" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        discovery_grid.main(["--out", str(out), "--seeds", "1000"])
+    assert "results that are kept can only be summed up" in capsys.readouterr().err
+    assert out.read_bytes() == before
