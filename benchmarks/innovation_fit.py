@@ -11,6 +11,7 @@ x(k+1) = F(x(k), u_k) boxplus K e_k, with K and S of the start values. The row `
 S follow the parameters, their derivatives included, and log det S counts. AeroID runs its own filter-error method, an
 extended Kalman filter in raw coordinates, on the same differential equations. Whatever they minimise, the final
 parameters of all are judged by one function: the log likelihood of the stationary innovation form.
+The file is long because every peer is given the same model, and that is to be seen.
 """
 
 from __future__ import annotations

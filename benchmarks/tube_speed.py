@@ -8,6 +8,7 @@ data transfer and Python included. Then problems of these flights, with the back
 solved from one cold start (every state the present one, every command that of hover) to a KKT residual of 1e-6 by all
 solvers: same discretisation (the exported f_d), cost, limits and slack. The last stage has no limits, because do-mpc
 has no place for them. One thread; CPU time of the thread next to wall time, and the machine's load.
+The file is long because every competitor is given the same problem, and that is to be seen.
 """
 
 from __future__ import annotations

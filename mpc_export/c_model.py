@@ -2,6 +2,7 @@
 
 The generated functions keep CasADi's calling convention (`NAME.h`); `NAME_model.h` gives each of them a plain C function
 with named arguments, numbers as constant arrays, and return codes. Everything is in one translation unit without state.
+The file is long because these texts share one list of functions and numbers, and are made in one go.
 """
 
 from __future__ import annotations

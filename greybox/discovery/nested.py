@@ -48,9 +48,6 @@ BLOCKS = 64
 which few blocks hardly know."""
 SHORTEST = 0.2
 """Not below this, or innovations that are correlated over a tenth of a second would count as evidence."""
-LEAD, LEADS = 0.1, 4
-"""Seconds at the start of a segment that only tell its commands (the longest delay of a command), in segments that are more
-than so many times as long."""
 RECENT = 48
 """How many fits are remembered."""
 TOLERANCE = 1e-4
@@ -386,20 +383,6 @@ class Nest:
         if not moving:
             return self.refit(chosen, start=start)
         return self.settle(self.refits([self.from_each(self.task(chosen, start, self.typical(moving)))])[0])
-
-
-def led(data: Dataset) -> Dataset:
-    """The data without the first `LEAD` seconds of every segment, whose commands are remembered.
-
-    Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor
-    states does not, and would be preferred for that alone. `data_hash` of the result is that of the samples that are left.
-    """
-    flights = []
-    for f in data:
-        lead = round(LEAD / f.dt)
-        kept = [s.rows(lead, s.n) if s.n > LEADS * lead else s for s in f.segments]
-        flights.append(replace(f, segments=tuple(kept)))
-    return Dataset(flights=tuple(flights))
 
 
 def _sendable(task: Task) -> bool:

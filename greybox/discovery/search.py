@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 from greybox.discovery.candidates import TIMING
 from greybox.discovery.carried import all_white, whitens
+from greybox.discovery.imu_filter import filtered_after_all, filtered_imu, may_be_filtered, unfiltered
 from greybox.discovery.name import Addition, next_addition, prune, stands_in
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
-from greybox.discovery.sensor_noise import filtered_after_all, filtered_imu, may_be_filtered, unfiltered
 from greybox.discovery.velocity import drifts
 from greybox.discovery.veto import HeldOut, Withheld, unseen
 

@@ -23,9 +23,10 @@ from greybox.discovery.candidates import candidates
 from greybox.discovery.carried import carried, is_carried, may_carry, memories
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
+from greybox.discovery.lead import led
 from greybox.discovery.leftover import ENOUGH, Promoted, promote
 from greybox.discovery.name import Addition
-from greybox.discovery.nested import Nest, NestedFit, led
+from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.result import Discovery
 from greybox.discovery.screen import Score
 from greybox.discovery.search import Found, Progress, Search

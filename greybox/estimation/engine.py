@@ -3,6 +3,7 @@
 The step is linearised symbolically in the error state (SX, sparse), generated as C and driven by a small hand-written
 loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters). Without a C compiler the same functions
 run in CasADi's VM under the same recursion in NumPy: the same numbers, slower.
+The file is long because both are one recursion, and are read side by side.
 """
 
 from __future__ import annotations

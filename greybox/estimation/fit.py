@@ -270,7 +270,9 @@ def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int)
         better = problem.evaluate(start, 0).cost < problem.evaluate(problem.start, 0).cost
         return start if better else problem.start
     if how == "multistart":
-        return init.multistart(problem, solver, n=starts, seed=seed).theta[0]
+        from greybox.estimation.multistart import multistart
+
+        return multistart(problem, solver, n=starts, seed=seed).theta[0]
     raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart", "innovation"))
 
 

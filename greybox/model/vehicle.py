@@ -1,6 +1,7 @@
 """Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema "greybox.vehicle/1").
 
 A number is exact (sigma 0) or a prior (value and one standard deviation). SI units; body axes FLU from the body origin.
+The file is long because the class is one thing: the same tables are read, checked and written.
 """
 
 from __future__ import annotations

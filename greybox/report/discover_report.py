@@ -1,4 +1,7 @@
-"""The report of `greybox discover`: from discovery.json (greybox.discovery/1) to one HTML page that tells the story."""
+"""The report of `greybox discover`: from discovery.json (greybox.discovery/1) to one HTML page that tells the story.
+
+The file is long because a page is one story: a function per section, in the order in which they are read.
+"""
 
 from __future__ import annotations
 

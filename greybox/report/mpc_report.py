@@ -1,4 +1,7 @@
-"""The report of `greybox mpc`: from mpc.json (greybox.mpc/1), rows of flights and their traces to one HTML page."""
+"""The report of `greybox mpc`: from mpc.json (greybox.mpc/1), rows of flights and their traces to one HTML page.
+
+The file is long because a page is one story: a function per section, in the order in which they are read.
+"""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ those it has seen, or raises those of any channel group, is switched off. Gauss-
 is the posterior covariance up to a factor per group, for nobody knows how many independent errors overlapping windows hold.
 The factor follows from how much the weights move when a kind of flight is left out, against how much they should
 (`_dispersion`; the jackknife of Wu 1986, Annals of Statistics 14(4), in the metric of the errors).
+The file is long because it is one derivation, from the errors of a path to the posterior.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
 from greybox.discovery.carried import with_states
 from greybox.discovery.gap import NOTHING
-from greybox.discovery.nested import Nest, NestedFit, led
+from greybox.discovery.lead import led
+from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.veto import HeldOut
 from greybox.estimation.record import sample_time
 from greybox.model.vehicle import Vehicle

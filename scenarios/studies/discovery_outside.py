@@ -34,7 +34,8 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import NOTHING, squares
-from greybox.discovery.nested import Nest, led
+from greybox.discovery.lead import led
+from greybox.discovery.nested import Nest
 from greybox.discovery.result import Discovery
 from greybox.discovery.veto import HeldOut
 from greybox.discovery.workflow import discover
@@ -46,7 +47,7 @@ from scenarios.plants.presets import x250
 from scenarios.plants.quadrotor import Quadrotor
 from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
 from scenarios.studies.discovery_oracle import AHEAD, ahead
-from scenarios.studies.rows import append_row, read_rows
+from scenarios.studies.rows import append_row, open_ended, read_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,6 +213,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--learn", action="store_true", help="also learn what names and laws leave (extra gp)")
     options = parser.parse_args(arguments)
     path = Path(options.out)
+    if not options.report:
+        open_ended(path, parser)
     rows = read_rows(path)
     if options.learn and importlib.util.find_spec("gpytorch") is None:
         parser.error("--learn needs the extra gp")

@@ -7,8 +7,9 @@ import pytest
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
+from greybox.discovery.lead import led
 from greybox.discovery.name import next_addition
-from greybox.discovery.nested import Nest, led
+from greybox.discovery.nested import Nest
 from greybox.discovery.veto import HeldOut
 from scenarios.studies.discovery_cells import Cell, flown, nominal
 from tests.discovery.small_world import shorten

@@ -8,7 +8,8 @@ import pytest
 
 from greybox.data import Dataset
 from greybox.discovery.candidates import candidates
-from greybox.discovery.nested import Nest, led
+from greybox.discovery.lead import led
+from greybox.discovery.nested import Nest
 from greybox.discovery.velocity import drifts
 from scenarios.studies.discovery_cells import Cell, flown, nominal
 from tests.discovery.small_world import flown as seen

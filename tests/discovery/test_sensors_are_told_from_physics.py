@@ -7,10 +7,12 @@ import pytest
 
 import greybox.discovery.candidates
 from greybox.data import Dataset, dataset_from_arrays
+from greybox.discovery import imu_filter
 from greybox.discovery import sensor_noise as noise
 from greybox.discovery.candidates import candidates
 from greybox.discovery.gap import squares
-from greybox.discovery.nested import Nest, led
+from greybox.discovery.lead import led
+from greybox.discovery.nested import Nest
 from greybox.discovery.workflow import discover
 from greybox.estimation.fit import fit
 from greybox.model.model import build_model
@@ -117,7 +119,7 @@ def test_an_accelerometer_alone_is_not_blamed_for_what_may_be_force(flown, monke
 def test_a_low_pass_is_recovered_and_has_the_gain_of_a_filter(flown):
     vehicle, log = flown
     found, data = white_fit(vehicle, low_passed(log, ["p", "q", "r", "ax", "ay", "az"], 20.0))
-    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=noise.FILTER) for s in ("gyro", "accelerometer"))
+    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
     model = SensorNoise(inner=found.model.dynamics, parts=parts)
     filtered = fit(
         model, data, free=["thrust.c2", *(f"{p.name}.T" for p in parts)], values=dict(found.model.values),
@@ -150,11 +152,11 @@ def test_model_files_have_white_sensors(flown, tmp_path):
 def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
     plain = searched(flown, cutoff)
     start = plain.refit(())
-    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=noise.FILTER) for s in ("gyro", "accelerometer"))
+    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
     filtered = noise.with_parts(plain, parts)
-    first = {(f"{p.name}.T", None): noise.FILTER for p in parts}
+    first = {(f"{p.name}.T", None): imu_filter.FILTER for p in parts}
     at = filtered.refit((), start=start, first=first)
-    lean = noise.unfiltered(plain, start, at)
+    lean = imu_filter.unfiltered(plain, start, at)
     if cutoff is None:
         assert lean is not None
         assert lean.effects == ()
@@ -167,7 +169,7 @@ def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
 def test_a_lag_that_was_named_in_place_of_a_filter_makes_room_for_it(flown, cutoff):
     plain = searched(flown, cutoff)
     at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
-    found = noise.filtered_after_all(plain, at)
+    found = imu_filter.filtered_after_all(plain, at)
     if cutoff is None:
         assert found is None
     else:
@@ -187,7 +189,7 @@ def test_where_only_the_imu_is_logged_a_lag_stays_a_lag(flown):
     assert plain.candidates.blind
     at = plain.refit(("motor_lag",), start=plain.refit(()), first={("motor_lag.tau", None): 0.006})
     assert noise.suspicious(at.fit)
-    assert noise.filtered_after_all(plain, at) is None
+    assert imu_filter.filtered_after_all(plain, at) is None
 
 
 def test_what_a_gyro_is_off_by_from_the_start_is_no_drift(flown):

@@ -9,8 +9,9 @@ import pytest
 
 from greybox.discovery.candidates import candidates
 from greybox.discovery.differences import widened
+from greybox.discovery.imu_filter import FILTER
 from greybox.discovery.nested import Nest
-from greybox.discovery.sensor_noise import FILTER, with_parts
+from greybox.discovery.sensor_noise import with_parts
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import noise_of
 from greybox.estimation.predictors.innovation import Innovation

@@ -11,7 +11,7 @@ import pytest
 import greybox as gb
 from greybox.cores import cores
 from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.initialisation import multistart
+from greybox.estimation.multistart import multistart
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.estimation.solvers import SOLVERS

@@ -12,7 +12,8 @@ from greybox import build_model
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.initialisation import equation_error, multistart, noise_start
+from greybox.estimation.initialisation import equation_error, noise_start
+from greybox.estimation.multistart import multistart
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import Simulation
 from greybox.estimation.problem import Problem, make_problem

@@ -1,4 +1,7 @@
-"""Exported functions are the identified model: its step, its filter, its uncertainty, with exact Jacobians."""
+"""Exported functions are the identified model: its step, its filter, its uncertainty, with exact Jacobians.
+
+The file is long because every function of a model is held against that model, in the order of the list of functions.
+"""
 
 from __future__ import annotations
 

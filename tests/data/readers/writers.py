@@ -2,6 +2,7 @@
 
 The flight is a NanoBench one (Crazyflie, 100 Hz). Values are turned into each system's units, axes and scales here, by
 formulas written independently of the readers: PX4 in FRD and NED, Betaflight in counts, the Crazyflie in degrees and g.
+The file is long because the formats are held against each other here, one function each.
 """
 
 from __future__ import annotations
