@@ -66,6 +66,13 @@ class Candidates:
         # One that the vehicle file knows is no other word for a further one.
         return other if "command_delay" in self.parameters and (other in self.parameters or other in self.unjudged) else None
 
+    @property
+    def lags(self) -> frozenset[str]:
+        """Candidates that bring rotors with a lag, where none is known."""
+        effects: Any = white(self.model).effects  # type: ignore[attr-defined]
+        late = {e.name for e in effects if "lag" in e.early}
+        return frozenset(late) if late <= set(self.parameters) else frozenset()
+
     def only(self, effects: Iterable[str]) -> PhysicsModel:
         """The model that holds the known effects and some of the candidates."""
         chosen = set(effects)

@@ -70,47 +70,58 @@ def widened(
     data: Dataset,
     null: Mapping[str, float],
     per_flight: Iterable[str] = (),
+    apart: Dynamics | None = None,
 ) -> tuple[Problem, FloatArray]:
     """(`small` with the parameters `null` of the model `large` as further unknowns, `theta` with these at their nulls).
 
-    `small` is a fit in innovation form whose model is `large` with `null` held. The result can be evaluated at that point
-    only. Raises `FitError` where a prediction is not finite.
+    `small` is a fit in innovation form whose model is `large` with `null` held. Parameters that only `apart` has, a larger
+    model still, are moved in that one: a rotor with a lag of no length shows its speed a sample later than one without, and
+    whatever acts on the accelerometer would be looked for a sample too late next to it. The result can be evaluated at that
+    point only. Raises `FitError` where a prediction is not finite.
     """
-    declared = {d.name: d for d in large.parameters}
+    declared = {d.name: d for d in (apart or large).parameters}
+    common = {d.name for d in large.parameters}
     own = set(per_flight)
-    runner = _Runner(small, theta, large, data, null)
+    runner = _Runner(small, theta, large, data, {n: v for n, v in null.items() if n in common})
+    other = runner if apart is None else _Runner(small, theta, apart, data, null)
     added: list[Unknown] = []
+    runners: list[_Runner] = []
     columns: list[list[_Column | None]] = []
     flights = small.flights
     tasks: list[Callable[[], list[_Column | None]]] = []
-    for name in (d.name for d in large.parameters if d.name in null):
+    for name in (n for n in declared if n in null):
         d = declared[name]
         separate = d.scope == "flight" or name in own
         for flight in flights if separate else (None,):
+            mine = runner if name in common else other
             added.append(_unknown(d, null[name], flight))
-            tasks.append(lambda d=d, flight=flight: runner.column(d, null[d.name], flight))  # type: ignore[misc]
+            runners.append(mine)
+            tasks.append(lambda r=mine, d=d, flight=flight: r.column(d, null[d.name], flight))  # type: ignore[misc]
     with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
         columns = [f.result() for f in [pool.submit(t) for t in tasks]]
     blocks = []
     for i, block in enumerate(Innovation(piece=sys.maxsize).blocks(small, theta, True)):
         assert block.jacobian is not None
         assert block.covariance_slope is not None
-        # The larger model may look further back at commands: its patterns are more, of lost rows long before.
-        own_pattern = runner.records[i].pattern
-        alike = [int(np.bincount(own_pattern[block.pattern == g]).argmax()) for g in range(len(block.covariance_slope))]
-        there = [j for j, c in enumerate(columns) if c[i] is not None]
-        mine = [c[i] for c in columns if c[i] is not None]
+        # A larger model may look further back at commands: its patterns are more, of lost rows long before.
+        groups = range(len(block.covariance_slope))
+        alike = {
+            r: [int(np.bincount(r.records[i].pattern[block.pattern == g]).argmax()) for g in groups] for r in {runner, other}
+        }
+        there = [(j, c[i], runners[j]) for j, c in enumerate(columns)]
+        moved = [(j, c, r) for j, c, r in there if c is not None]
         blocks.append(
             replace(
                 block,
-                jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for c in mine if c)], axis=2),
+                jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2),
                 covariance_slope=np.concatenate(
-                    [block.covariance_slope, *(c.covariance[alike][:, None] for c in mine if c)], axis=1
+                    [block.covariance_slope, *(c.covariance[alike[r]][:, None] for _, c, r in moved)], axis=1
                 ),
-                columns=np.concatenate([block.columns, small.n + np.array(there, dtype=np.intp)]),
+                columns=np.concatenate([block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]),
             )
         )
-    state = {k: v for k, v in small.state.items() if k != "index"} | {"thresholds": frozenset(runner.thresholds)}
+    thresholds = frozenset(runner.thresholds | other.thresholds)
+    state = {k: v for k, v in small.state.items() if k != "index"} | {"thresholds": thresholds}
     wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), state=state)
     return wide, np.concatenate([theta, [u.start for u in added]])
 

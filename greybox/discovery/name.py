@@ -26,8 +26,7 @@ still felt, and that is as much a matter of how the log was written."""
 PLAIN = 0.1
 """Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
 as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold
-must gain that much where the test of block scores does not see it: it is felt in a few bursts, and that statistic cannot
-exceed the number of blocks it is felt in."""
+must gain that much where few blocks feel it."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 
@@ -55,13 +54,15 @@ def next_addition(
     """The best addition to `at`, or None where no candidate passes the tests or none improves BIC clearly. Sets of effects
     that were `refused` are not tried."""
     passing = [s for s in scores if s.judged and s.allowed and s.p_family <= alpha]
+    # A limit that was moved until a few samples felt it may also be the end of a curve: it must gain plainly.
+    rare = [s for s in passing if s.threshold and s.burst]
+    passing = [s for s in passing if s not in rare]
     # The statistic in the metric of block scores cannot exceed their number, whatever the size of the effect: it tests but
     # does not rank. Fisher's is twice the gain in likelihood that a refit is expected to have, but for lags and delays,
     # which gain far more than their first step tells: these always contend.
     passing = sorted(passing, key=lambda s: -s.statistic)
     passing = [s for i, s in enumerate(passing) if i < CONTENDERS or s.name in TIMING]
     plain = 2 * PLAIN * max(at.fit.n_samples, 1)
-    rare = [s for s in scores if s.threshold and s.judged and s.allowed and s.p_family > alpha and s.statistic > plain]
     unscored = [*(s for s in scores if s.refit), *rare]
     if not passing and not unscored:
         return None

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.cores import cores
 from greybox.data import Dataset
-from greybox.discovery.candidates import Candidates
+from greybox.discovery.candidates import TIMING, Candidates
 from greybox.discovery.differences import widened
 from greybox.discovery.screen import Key, Score, screen, unscored
 from greybox.discovery.velocity import has_velocity
@@ -360,14 +360,21 @@ class Nest:
         names = {n: p for n, p in self.candidates.parameters.items() if n not in (*at.effects, *unfelt)}
         null = {p: self.candidates.null[p] for ps in names.values() for p in ps}
         with threadpool_limits(limits=1):
+            there = {*names, *at.effects}
+            # Without a lag the accelerometer follows a late command within a part of a sample, and that slope leads nowhere.
+            late = set(TIMING) & set(names) if self.candidates.lags & set(names) else set()
+            whole = self.candidates.only(there)
             problem, theta = widened(
-                at.fit.problem, at.fit.theta, self.candidates.only({*names, *at.effects}), self.data, null,
-                per_flight=self.choices.get("per_flight", ()),
+                at.fit.problem, at.fit.theta, self.candidates.only(there - late) if late else whole, self.data, null,
+                per_flight=self.choices.get("per_flight", ()), apart=whole if late else None,
             )  # fmt: skip
             seconds = sum(r.n for r in problem.records) * problem.dt
             block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
             value = problem.evaluate(theta, scores=block)
-            tested = screen(problem, value, names, alpha=alpha, draws=draws, seed=seed)
+            tested = screen(
+                problem, value, names, alpha=alpha, draws=draws, seed=seed, samples=block,
+                predicted=list(problem.predictor.blocks(problem, theta, True)),
+            )  # fmt: skip
         return [*tested, *(unscored(n, self.typical((n,))) for n in unfelt)]
 
     def typical(self, effects: Iterable[str]) -> dict[Key, float]:

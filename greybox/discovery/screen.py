@@ -21,7 +21,8 @@ import numpy as np
 import scipy.linalg
 
 from greybox.chi_square import log_tail
-from greybox.estimation.problem import Problem, Value
+from greybox.discovery.burst import FEW, effective_blocks, information, overdispersion
+from greybox.estimation.problem import Block, Problem, Value
 from greybox.symbolic import FloatArray
 
 Key = tuple[str, str | None]
@@ -44,7 +45,8 @@ class Score:
     direction of the candidate; `judged` is false where nothing is left (collinear, or no sensitivity), `allowed` where
     every first estimate lies beyond a bound (a negative delay). `refit`: at its null the candidate has no score (nothing
     shows the velocity that it acts on), and only a refit from the size that `estimate` holds can test it. `threshold`: at
-    its null it does nothing (a limit that no command reaches); it is felt in few blocks, and `robust` cannot exceed them."""
+    its null it does nothing (a limit that no command reaches), and it was moved until it is felt. `burst`: it is felt in few
+    blocks, which `robust` cannot exceed, and `p_family` is that of Fisher's metric (greybox.discovery.burst)."""
 
     name: str
     statistic: float
@@ -61,6 +63,7 @@ class Score:
     allowed: bool = True
     refit: bool = False
     threshold: bool = False
+    burst: bool = False
 
 
 def screen(
@@ -71,11 +74,14 @@ def screen(
     alpha: float = 0.05,
     draws: int = 999,
     seed: int = 0,
+    predicted: Sequence[Block] = (),
+    samples: int = 1,
 ) -> list[Score]:
     """Score tests of `groups` (candidate -> parameter names), best first; `alpha` sets their `limit`.
 
     `problem` has all of their parameters free, and `value` is its evaluation at the smaller model's estimate with block
-    scores; every unknown that is in no group is a nuisance. Deterministic for a seed.
+    scores; every unknown that is in no group is a nuisance. With the predictions behind it and the `samples` of its
+    blocks, candidates that are felt in few blocks are tested by `burst`. Deterministic for a seed.
     """
     assert value.gradient is not None
     assert value.hessian is not None
@@ -91,6 +97,7 @@ def screen(
     hnn = h[np.ix_(nuisance, nuisance)] + 1e-10 * np.eye(nuisance.size)
     factor = scipy.linalg.cho_factor(hnn)
     parts: dict[str, tuple[FloatArray, FloatArray, FloatArray]] = {}
+    ways: dict[str, FloatArray] = {}
     out: list[Score] = []
     for group, members in groups.items():
         at = [i for i, n in enumerate(names) if n in set(members)]
@@ -114,6 +121,8 @@ def screen(
         # In these directions V is diagonal with `shares`.
         d = directions[:, keep]
         parts[group] = (projected @ d, offset @ d, shares[keep])
+        ways[group] = np.zeros((len(names), d.shape[1]))
+        ways[group][alive], ways[group][nuisance] = d, -solved @ d
         estimate = -(d / shares[keep]) @ (d.T @ (projected.sum(axis=0) + offset))
         spread = np.sqrt(np.maximum(np.diag((d / shares[keep]) @ d.T), 0.0))
         out.append(
@@ -132,7 +141,11 @@ def screen(
                 allowed=any(_allowed(problem, i, e) for i, e in zip(alive, estimate, strict=True)),
             )
         )
-    return _calibrated(out, parts, alpha, draws, seed)
+    tested = _calibrated(out, parts, alpha, draws, seed)
+    if not predicted or not parts:
+        return tested
+    told = information(predicted, np.concatenate(list(ways.values()), axis=1) / scale[:, None], samples)
+    return _bursts(tested, parts, told)
 
 
 def _calibrated(
@@ -171,6 +184,24 @@ def _calibrated(
         family = float((1 + (highest >= logp).sum()) / (draws + 1))
         out.append(replace(s, statistic=fisher, robust=robust, p=float(np.exp(-logp)), p_family=family, limit=limit))
     return sorted(out, key=lambda s: (not s.judged, s.p, -s.robust))
+
+
+def _bursts(
+    scores: Sequence[Score], parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], told: FloatArray
+) -> list[Score]:
+    """The scores, those of candidates that few blocks feel with a p value by Fisher's metric where that is smaller."""
+    ends = np.cumsum([len(p[2]) for p in parts.values()])
+    own = dict(zip(parts, np.split(told, ends[:-1], axis=1), strict=True))
+    few = {n for n, (_, _, shares) in parts.items() if effective_blocks(own[n], shares) < FEW}
+    spread = overdispersion(
+        {n: p[0] for n, p in parts.items() if n not in few}, {n: p[2] for n, p in parts.items() if n not in few}
+    )
+    out = []
+    for s in scores:
+        p = len(parts) * float(np.exp(log_tail(s.statistic / spread, s.dof)[0])) if s.name in few else np.inf
+        found = p < s.p_family
+        out.append(replace(s, p_family=max(p, float(np.finfo(float).tiny)), burst=True) if found else s)
+    return out
 
 
 def _unjudged(name: str, reason: str, left: float = 0.0) -> Score:

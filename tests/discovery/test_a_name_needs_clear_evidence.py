@@ -79,24 +79,26 @@ def choose(refits: Refits, *scores: Score, alpha: float = 0.05) -> Addition | No
     return next_addition(cast(Nest, refits), at, scores, alpha)
 
 
-def limit(p_family: float, statistic: float) -> Score:
-    """The score of an effect with a threshold."""
-    return replace(score("limit", p_family, statistic=statistic), threshold=True)
+def limit(p_family: float, *, burst: bool = True) -> Score:
+    """The score of an effect with a threshold, which few blocks feel."""
+    return replace(score("limit", p_family), threshold=True, burst=burst)
 
 
-def test_a_plain_gain_names_what_block_scores_cannot_see():
-    """0.1 per sample of 1000, in twice the log likelihood."""
+def test_a_limit_that_few_blocks_feel_must_gain_plainly():
+    """0.1 per sample of 1000, in twice the log likelihood; one that many blocks feel is an effect like any other."""
     refits = Refits({(): 1000.0, ("limit",): 500.0, ("drag",): 900.0})
-    found = choose(refits, limit(0.8, 300.0), score("drag", 0.001))
+    found = choose(refits, limit(1e-9), score("drag", 0.001))
     assert found is not None
     assert found.effects == ("limit",)
     assert found.p_value < 1e-10
     small = Refits({(): 1000.0, ("limit",): 850.0, ("drag",): 900.0})
-    found = choose(small, limit(0.8, 300.0), score("drag", 0.001))
+    found = choose(small, limit(1e-9), score("drag", 0.001))
     assert found is not None
     assert found.effects == ("drag",)
-    assert choose(Refits({(): 1000.0, ("limit",): 500.0}), limit(0.8, 150.0)) is None
-    assert choose(Refits({(): 1000.0, ("limit",): 500.0}), score("limit", 0.8, statistic=300.0)) is None
+    found = choose(small, limit(1e-9, burst=False), score("drag", 0.001))
+    assert found is not None
+    assert found.effects == ("limit",)
+    assert choose(Refits({(): 1000.0, ("limit",): 500.0}), limit(0.8)) is None
 
 
 def test_a_late_command_contends_whatever_its_score():

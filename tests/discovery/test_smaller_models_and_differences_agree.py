@@ -88,3 +88,31 @@ def test_a_fit_with_a_filter_starts_one_without(nest: Nest):
     again = nest.refit(("rotational_damping",), start=filtered)
     assert again.fit.converged
     assert again.bic == pytest.approx(nest.refit(("rotational_damping",)).bic, abs=0.1)
+
+
+def test_what_a_lag_of_no_length_shows_later_is_looked_for_in_time():
+    """A rotor with a lag shows its speed at the sample, one without that of the step that begins: the accelerometer of a
+    model with a lag, even of no length, is a sample behind, and a late IMU would not be seen in it."""
+    data = small_world.flown()
+    offered = candidates(small_world.vehicle(), data.channels, sample_time=0.01)
+    assert offered.lags == {"motor_lag"}
+    nest = Nest(candidates=offered, data=data)
+    at = nest.refit(())
+    null = {p: offered.null[p] for n in ("motor_lag", "sensor_delay") for p in offered.parameters[n]}
+    whole, own = offered.only(("motor_lag", "sensor_delay")), offered.only(("sensor_delay",))
+    exact, theta = widened(at.fit.problem, at.fit.theta, own, data, {"sensor_delay.d": 0.0})
+    apart, same = widened(at.fit.problem, at.fit.theta, own, data, null, apart=whole)
+    blurred, _ = widened(at.fit.problem, at.fit.theta, whole, data, null)
+    assert [u.name for u in apart.unknowns[-2:]] == [u.name for u in blurred.unknowns[-2:]]
+    found = {u.name: i for i, u in enumerate(apart.unknowns)}
+    a, b, c = exact.evaluate(theta), apart.evaluate(same), blurred.evaluate(same)
+    assert a.hessian is not None and b.hessian is not None and c.hessian is not None
+    delay, lag = found["sensor_delay.d"], found["motor_lag.tau"]
+    assert b.hessian[delay, delay] == pytest.approx(a.hessian[-1, -1], rel=1e-9)
+    assert b.hessian[lag, lag] == pytest.approx(c.hessian[lag, lag], rel=1e-9)
+    # Most of what tells of a late IMU is the accelerometer's.
+    az = list(at.fit.model.dynamics.innovations.names).index("az")
+    for wide, felt in ((apart, True), (blurred, False)):
+        (block, *_) = wide.predictor.blocks(wide, same, True)
+        assert block.jacobian is not None
+        assert (np.abs(block.jacobian[100:, az, list(block.columns).index(delay)]).max() > 1.0) == felt

@@ -59,11 +59,16 @@ def model() -> StateSpaceModel:
     )
 
 
-def record(seed: int, truth: Mapping[str, float] | None = None, n: int = 400) -> Dataset:
-    """n samples under random steps, white process and sensor noise; `truth` sets candidates."""
+def record(seed: int, truth: Mapping[str, float] | None = None, n: int = 400, bursts: bool = False) -> Dataset:
+    """n samples under random steps, white process and sensor noise; `truth` sets candidates. With `bursts` the steps are
+    small but for two stretches of 20 samples, in which alone u^2 is felt."""
     p = {"a": 1.0, "b": 2.0, **NULL, **(truth or {})}
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.uniform(-1, 1, n // 10), 10)
+    if bursts:
+        u *= 0.2
+        for at, sign in ((n // 4, 1.0), (3 * n // 4, -1.0)):
+            u[at : at + 20] = sign
     push, error = PROCESS * np.sqrt(DT) * rng.standard_normal(n), NOISE * rng.standard_normal(n)
     x, seen = 0.0, np.empty(n)
     for k in range(n):
