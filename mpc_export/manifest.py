@@ -168,6 +168,8 @@ def _notes(f: ModelFunctions) -> list[str]:
         out.append("the model is discrete: there is no f, only f_d")
     if f.delay:
         out.append("f has no delay; f_d has it, as input-history states")
+    if any(k.startswith("sensor_delay.") and v != 0 for k, v in f.sampled.values.items()):
+        out.append("states are those of the instant that gyro and accelerometer show, sensor_delay.d before the pose's")
     if not math.isclose(f.dt, f.identified_dt, rel_tol=1e-9):
         out.append(
             f"identified at {f.identified_dt:g} s and exported at {f.dt:g} s: white noise keeps its intensity, the sensor "

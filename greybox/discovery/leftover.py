@@ -56,7 +56,7 @@ class Leftover:
     """One axis: `channel` (force.x, ...), RMS of its smoothed discrepancy [unit], `share` of its variance that `terms`
     (text -> coefficient, SI) explain out of sample, and the signals that they look at; `codes` are the terms as lines of
     an effect file, `memories` how those with a memory follow it, and its RMS. `gain`: how much BIC loses without this axis'
-    state."""
+    state; `lasts`: correlation time of the state [s]."""
 
     channel: str
     unit: str
@@ -67,6 +67,7 @@ class Leftover:
     codes: tuple[str, ...] = ()
     memories: tuple[tuple[Memory, float] | None, ...] = ()
     gain: float = 0.0
+    lasts: float | None = None
 
     @property
     def lawful(self) -> bool:
@@ -79,6 +80,7 @@ class Leftover:
         return {
             "channel": self.channel, "depends_on": list(self.depends_on), "share": self.share, "rms": self.rms,
             "unit": self.unit, "proposal": f"{self.channel} = {law}" if law else None, "gain": self.gain,
+            "lasts_s": self.lasts,
         }  # fmt: skip
 
 
@@ -139,7 +141,7 @@ def promote(found: Fit, data: Dataset, *, seed: int = 0, iterations: int = 60, m
     axes = tuple(
         Leftover(
             channel=c.name, unit=c.unit, rms=float(np.sqrt(np.mean((seen.y[:, j] - seen.y[:, j].mean()) ** 2))),
-            gain=gains[c.name], **laws.get(c.name, NO_LAW),
+            gain=gains[c.name], lasts=_lasts(result, c.name), **laws.get(c.name, NO_LAW),
         )
         for j, c in enumerate(seen.outputs)
     )  # fmt: skip
@@ -166,11 +168,16 @@ def _sizes(result: Fit, gains: Mapping[str, float]) -> tuple[Leftover, ...]:
     driving = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
     out = []
     for axis, gain in gains.items():
-        memory = model.values[f"disturbance.{axis.split('.')[0]}.T"]
+        memory = _lasts(result, axis)
         level = driving[f"disturbance.{axis}"] / np.sqrt(-np.expm1(-2 * model.sample_time / memory))
         unit = model.dynamics.noises.signals[model.dynamics.noises[axis]].unit
-        out.append(Leftover(channel=axis, unit=unit, rms=float(level), gain=gain, **NO_LAW))
+        out.append(Leftover(channel=axis, unit=unit, rms=float(level), gain=gain, lasts=memory, **NO_LAW))
     return tuple(out)
+
+
+def _lasts(result: Fit, axis: str) -> float:
+    """Correlation time [s] of the disturbance state of an axis; force and torque have one each."""
+    return float(result.model.values[f"disturbance.{axis.split('.')[0]}.T"])
 
 
 def _bent(axis: str, free: Iterable[str]) -> bool:

@@ -210,7 +210,7 @@ class Discovery:
             "bad_data": "the data have faults that block the search",
             "named": "missing effects were found and named",
             "ambiguous": "something is missing; these data cannot say which of several effects",
-            "unnamed": "something structured is missing that no effect of the catalogue explains",
+            "unnamed": "something structured is left that no effect of the catalogue explains",
             "nothing_missing": "nothing is missing at the power of these data",
         }
         lines = [words[self.verdict], *(f"  fault: {f}" for f in self.faults)]
@@ -238,7 +238,7 @@ class Discovery:
             law = (
                 f"{u['proposal']} ({u['share']:.0%} of what is left there)"
                 if u["proposal"]
-                else f"{u['channel']}, no law found"
+                else f"{u['channel']}, {_size(u)}: no law found, no signal of the log explains it"
             )
             lines.append(f"  unnamed: {law}")
         if lasts := self.settings.get("carried"):
@@ -255,3 +255,8 @@ class Discovery:
         if self.unjudged:
             lines += [f"  cannot be judged: {n} ({why})" for n, why in self.unjudged.items()]
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
+
+
+def _size(axis: Mapping[str, Any]) -> str:
+    size = f"{axis['rms']:.2g} {axis['unit']}"
+    return size if axis["lasts_s"] is None else f"{size} that lasts {axis['lasts_s']:.2g} s"

@@ -12,7 +12,7 @@ class Code(enum.Enum):
 
     CONVERGED = "Converged: the gradient vanishes to far below one standard error of every estimate."
     MAX_ITERATIONS = (
-        "NOT converged: the iteration limit was reached. Raise --max-iterations, give better start values, or fix "
+        "NOT converged: the iteration limit was reached. Allow more iterations, give better start values, or fix "
         "parameters that the data cannot identify."
     )
     NO_PROGRESS = (

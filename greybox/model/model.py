@@ -322,10 +322,9 @@ class PhysicsModel:
         if self._has("delay") or self._has("imu_delay") or self._has("pose_delay"):
             upper = {f"{e.name}.{d.name}": d.upper for e in self.effects for d in e.parameters(self.vehicle)}
             longest = float(self._early("delay", upper))
-            if self._has("imu_delay"):
-                longest += max(float(self._early("imu_delay", upper)), self.sample_time)
-            elif self._has("pose_delay"):
-                longest += min(float(self._early("pose_delay", upper)), POSE_REACH)
+            late_imu = max(float(self._early("imu_delay", upper)), self.sample_time) if self._has("imu_delay") else 0.0
+            late_pose = min(float(self._early("pose_delay", upper)), POSE_REACH) if self._has("pose_delay") else 0.0
+            longest += max(late_imu, late_pose)
             if not math.isfinite(longest):
                 raise ModelError("a delay without an upper bound", fix="declare the parameter with a finite upper")
             past = math.ceil(longest / self.sample_time + 1e-9)
@@ -395,24 +394,25 @@ class PhysicsModel:
             share = ca.fmin(share / aperture, 1.0)
         return ca.vertcat(newer + share * (older - newer), window[self._n :, past])
 
-    def _mean_command(self, window: Expr, delay: Expr, back: Expr, dt: Expr) -> Expr:
-        """Mean of the delayed command over the last `back` seconds before t_k (the coming one where `back` is negative)."""
+    def _mean_command(self, window: Expr, young: Expr, old: Expr, dt: Expr) -> Expr:
+        """Mean of the commands that were `young` to `old` seconds old at t_k; the coming one where none of them has come."""
         past, future = self.window
         if future:
-            return self._sampled_command(window, delay + ca.fmax(0.5 * back, 0.0), dt)
+            return self._sampled_command(window, ca.fmax(0.5 * (young + old), 0.0), dt)
         if past == 0:
             return window
-        # Ages in samples; at no delay at all the command of the step that just ended.
-        young = delay / dt
-        old = young + ca.fmax(back / dt, 1e-6)
+        # Ages in samples; of an instant the command of the step that just ended.
+        first = young / dt
+        last = ca.fmax(old / dt, first + 1e-6)
         total: Expr = 0.0
         command: Expr = 0.0
         for m in range(past):
-            weight = (ca.fmin(old, m + 1) if m < past - 1 else old) - ca.fmax(young, m)
+            weight = (ca.fmin(last, m + 1) if m < past - 1 else last) - ca.fmax(first, m)
             weight = ca.fmax(weight, 0.0)
             total, command = total + weight, command + weight * window[: self._n, past - m - 1]
-        coming = self._sampled_command(window, delay, dt, aperture=1.0)
-        return ca.if_else(back < 0, coming, ca.vertcat(command / total, window[self._n :, past]))
+        coming = self._sampled_command(window, ca.fmax(old, 0.0), dt, aperture=1.0)
+        known = ca.logic_or(old > 0, young >= 0)
+        return ca.if_else(known, ca.vertcat(command / ca.fmax(total, 1e-9), window[self._n :, past]), coming)
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
         """nu_ss: command chain, then the product of the rotor stage's factors."""
@@ -585,72 +585,68 @@ class PhysicsModel:
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        return self._outputs(x, u, (u, u), u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
+        return self._outputs(x, u, (u, u), p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
-    def _outputs(self, x: Expr, u: Expr, u_imu: tuple[Expr, Expr], u_pose: Expr, p: Expr, w: Expr) -> Expr:
-        """Outputs at the command u; `u_imu` are the commands for a late gyro and accelerometer (see `_earlier`), `u_pose` is
-        the mean command for a late pose (see `_late_pose`)."""
+    def _outputs(self, x: Expr, u: Expr, others: tuple[Expr, Expr], p: Expr, w: Expr) -> Expr:
+        """Outputs at the command u that gyro and accelerometer see; `others` are the mean command between that instant and
+        the one of the pose, and the one between that instant and now, or that of now where rotors have no lag."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
         nu_rate = (steady - nu) / _positive(self._lag(values)) if self._has_lag else steady * 0
         sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
         readings = self._measure(flow, sf, p)
-        if self._has("imu_delay"):
-            late = self._measure(*self._earlier(blocks, nu, u_imu, p, w), p)
-            readings |= {k: late[k] for k in ("gyro", "accelerometer") if k in readings}
-        if self._has("pose_delay"):
-            late = self._measure(*self._late_pose(blocks, nu, u_pose, p), p)
-            readings |= {k: late[k] for k in ("attitude", "position", "velocity") if k in readings}
+        if self._has("imu_delay") or self._has("pose_delay"):
+            pose = self._measure(*self._pose_seen(blocks, nu, others[0], p, w), p)
+            readings |= {k: pose[k] for k in ("attitude", "position", "velocity") if k in readings}
+        if self._has("imu_delay") and "rotor_speed" in readings:
+            turning = self._steady_speed(others[1], values)  # measured rotor speeds are those of now
+            if self._has_lag:
+                left = ca.exp(-self._early("imu_delay", values) / _positive(self._lag(values)))
+                turning = turning + (nu - turning) * left
+            seen = replace(flow, nu=turning, rotor_speed=self.vehicle.omega_scale * turning)
+            readings["rotor_speed"] = self._measure(seen, sf, p)["rotor_speed"]
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
-    def _earlier(
-        self, blocks: Mapping[str, Expr], nu: Expr, u: tuple[Expr, Expr], p: Expr, w: Expr
-    ) -> tuple[Flow, Expr]:
-        """(flow, specific force) as late gyro and accelerometer see them, one straight step back from the present.
-
-        u are the commands (at that time, in the mean since then). A lag shorter than the delay counts as long as it: the
-        straight line through a rotor that has long settled would leave the range of its speeds.
-        """
+    def _pose_seen(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr, w: Expr) -> tuple[Flow, Expr]:
+        """(flow, specific force) as the pose shows them, which is later than gyro and accelerometer (`pose_delay`) or
+        earlier (`imu_delay`): from the present by the midpoint rule, with the mean command u in between. The noise of
+        the coming step acts ahead of the present alone."""
         values = self._values(p)
-        back = self._early("imu_delay", values)
-        then, since = (self._steady_speed(v, values) for v in u)
-        if self._has_lag:
-            nu_rate = (since - nu) / ca.fmax(_positive(self._lag(values)), back)
-            since, then = nu, nu - back * nu_rate
-        else:
-            nu_rate = then * 0
-        d = self._derivative(blocks, since, nu_rate, u[1], p, w)
-        before = {b: blocks[b] - back * d[b] for b in blocks}
-        before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * blocks["rate"]))
-        sf, _, flow = self._rigid_body(before, then, nu_rate, u[0], p, w)
-        return flow, sf
-
-    def _late_pose(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr) -> tuple[Flow, Expr]:
-        """(flow, specific force) as a late pose shows them: back from the present by the midpoint rule, with the mean
-        command u since then. The noise of the coming step has not acted yet."""
-        values, quiet = self._values(p), ca.DM.zeros(9)
-        back = self._early("pose_delay", values)
+        back = self._early("pose_delay", values) - self._early("imu_delay", values)
+        w = ca.if_else(back < 0, w, ca.DM.zeros(9))
         steady = self._steady_speed(u, values)
         if self._has_lag:
-            nu_rate = (steady - nu) / ca.fmax(_positive(self._lag(values)), ca.fabs(back))
-            now, middle = nu, nu - 0.5 * back * nu_rate
+            # Backwards a settled rotor would run away: there the lag counts as no shorter than the way.
+            tau = _positive(self._lag(values))
+            tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
+            nu_rate = (steady - nu) / ca.fmax(tau, ca.fabs(back))
+            mean, early = _path_means(-back / tau)
+            middle, early = steady + (nu - steady) * mean, steady + (nu - steady) * early
         else:
-            now, middle, nu_rate = steady, steady, steady * 0
-        d = self._derivative(blocks, now, nu_rate, u, p, quiet)
+            middle, early, nu_rate = steady, steady, steady * 0
+        d = self._derivative(blocks, early, nu_rate, u, p, w)
         half = {b: blocks[b] - 0.5 * back * d[b] for b in blocks}
         half["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-0.5 * back * blocks["rate"]))
-        d = self._derivative(half, middle, nu_rate, u, p, quiet)
+        d = self._derivative(half, middle, nu_rate, u, p, w)
         before = {b: blocks[b] - back * d[b] for b in blocks}
         before["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-back * half["rate"]))
-        sf, _, flow = self._rigid_body(before, middle, nu_rate, u, p, quiet)
+        sf, _, flow = self._rigid_body(before, middle, nu_rate, u, p, w)
         return flow, sf
+
+    def _ages(self, p: Expr) -> tuple[Expr, Expr, Expr]:
+        """How old commands are [s] that act on the rotors when the log says now, at the instant that gyro and
+        accelerometer show, and at that of the pose."""
+        values = self._values(p)
+        now = self._early("delay", values)
+        return now, now + self._early("imu_delay", values), now + self._early("pose_delay", values)
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample: rotors exactly, rigid body by Runge-Kutta 4, the quaternion brought back to unit length."""
         blocks, nu = self._split(x)
         values = self._values(p)
-        u_a, u_b, switch = self._held_command(window, self._early("delay", values), dt)
+        _, delay, _ = self._ages(p)
+        u_a, u_b, switch = self._held_command(window, delay, dt)
         w = self._noise(w)
         first, second = self._steady_speed(u_a, values), self._steady_speed(u_b, values)
         u = u_b
@@ -674,17 +670,11 @@ class PhysicsModel:
 
         Rotors with a lag show their speed at t_k; rotors without one that of the step that begins.
         """
-        values = self._values(p)
-        delay = self._early("delay", values)
-        u = self._sampled_command(window, delay, dt)
-        u_imu = (u, u)
-        if self._has("imu_delay"):
-            back = self._early("imu_delay", values)
-            u_imu = (self._sampled_command(window, delay + back, dt), self._mean_command(window, delay, back, dt))
-        u_pose = (
-            self._mean_command(window, delay, self._early("pose_delay", values), dt) if self._has("pose_delay") else u
-        )
-        return self._outputs(x, u, u_imu, u_pose, p, self._noise(w))
+        now, imu, pose = self._ages(p)
+        u = self._sampled_command(window, imu, dt)
+        between = self._mean_command(window, ca.fmin(imu, pose), ca.fmax(imu, pose), dt)
+        since = self._mean_command(window, now, imu, dt) if self._has_lag else self._sampled_command(window, now, dt)
+        return self._outputs(x, u, (between, since), p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""
@@ -872,6 +862,16 @@ def sensors_for(columns: Iterable[str], vehicle: Vehicle, *, exclude: Iterable[s
 def _positive(tau: Expr) -> Expr:
     """A time constant to divide by: at least one microsecond, so that tau = 0 is the instantaneous rotor."""
     return ca.fmax(tau, 1e-6)
+
+
+def _path_means(z: Expr) -> tuple[Expr, Expr]:
+    """What is left of a difference that decays as exp(-t / tau), over 0 .. z tau: in the mean, which moves a velocity, and
+    in the mean weighted by the time that remains, which moves a position: (1 - e^-z) / z and 2 (z - 1 + e^-z) / z^2."""
+    small = ca.fabs(z) < 0.05
+    y = ca.if_else(small, 1.0, z)
+    mean, early = (1 - ca.exp(-y)) / y, 2 * (y - 1 + ca.exp(-y)) / y**2
+    mean = ca.if_else(small, 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5))), mean)
+    return mean, ca.if_else(small, 1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))), early)
 
 
 def _rotor_path(

@@ -24,7 +24,7 @@ ANSWERS = {
     "bad_data": "The data have faults that block the search. They would be read as physics, so nothing was searched.",
     "named": "Something was missing, and it has a name.",
     "ambiguous": "Something is missing. These data cannot say which of several effects it is.",
-    "unnamed": "Something structured is missing that no effect of the catalogue explains.",
+    "unnamed": "Something structured is left that no effect of the catalogue explains.",
     "nothing_missing": "Nothing is missing at the power of these data.",
 }
 CLEAR = 10.0
@@ -86,7 +86,7 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
         for a in content["ambiguous"]
     ]
     texts += [
-        f"no name, but a law: {u['proposal']} [{u['unit']}]" if u["proposal"] else f"no name and no law: {u['channel']}"
+        f"no name, but a law: {u['proposal']} [{u['unit']}]" if u["proposal"] else f"no name and no law: {_lawless(u)}"
         for u in content["unnamed"]
     ]
     best = _closed(content)
@@ -96,6 +96,12 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
             + ", ".join(f"{g.replace('_', ' ')} {_percent(r['closed'])}" for g, r in best.items())
         )
     report.bullets(texts)
+
+
+def _lawless(axis: Mapping[str, Any]) -> str:
+    lasts = axis.get("lasts_s")
+    size = f"{axis['channel']}, {number(axis['rms'], 2)} {axis['unit']}"
+    return size + (f" that lasts {number(lasts, 2)} s" if lasts is not None else "")
 
 
 def _closed(content: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -450,7 +456,10 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
     if lawless := [u["channel"] for u in content["unnamed"] if not u.get("file")]:
         more = f" --effects-file {' '.join(own)}" if own else ""
         command = f"greybox learn model.json --train LOGS{more}"
-        texts.append(f"No law was found for {_list(lawless)}: {command} learns what is left.")
+        texts.append(
+            f"No law was found for {_list(lawless)}: no signal of the log explains it, as with gusts, noise of force and "
+            f"torque that lasts, or a state that nobody measured. {command} learns what can be learned of it."
+        )
     after = content["deficiency"]["after"]
     if after is not None and after > CLEAR and not content["unnamed"]:
         texts.append(

@@ -33,7 +33,8 @@ CASES = {
     "accelerometer_scale": {"s_x": 0.03, "s_y": -0.02, "s_z": 0.05},
     "accelerometer_lever_arm": {"r_x": 0.01, "r_y": -0.005, "r_z": 0.015},
     "gyro_scale": {"s_x": 0.03, "s_y": -0.02, "s_z": 0.05},
-    "sensor_delay": {"d": 0.008},
+    "sensor_delay": {"d": 0.02},
+    "pose_delay": {"d": 0.02},
 }
 
 

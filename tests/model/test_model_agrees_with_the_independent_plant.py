@@ -202,20 +202,88 @@ def delayed_errors(effects, name, delays):
     return out
 
 
-def test_a_late_imu_is_right_to_first_order_of_its_delay():
-    """With rotors that lag, half the delay leaves a quarter of the error."""
-    one, half = delayed_errors({"motor_lag": {"tau": 0.04}}, "sensor_delay", (DT, DT / 2))
-    for c in ("p", "q", "r", "ax", "ay", "az"):
-        assert 3.4 < one[0][c] / half[0][c] < 4.6, c
-        assert half[0][c] < 0.04 * half[1][c], c
-    assert max(v for k, v in half[0].items() if k not in ("p", "q", "r", "ax", "ay", "az")) < 1e-6
+FINE = 5
+"""Instants per sample at which the plant of `late_imu_errors` is seen."""
 
 
-def test_a_late_imu_on_rotors_without_lag():
-    """The gyro goes back by the mean of the commands since then, the accelerometer sees the command of that instant."""
-    for one, change in delayed_errors({}, "sensor_delay", (0.4 * DT, DT, 1.3 * DT, 2 * DT)):
-        for c in ("p", "q", "r", "ax", "ay", "az"):
-            assert one[c] < 0.03 * change[c], c
+def late_imu_errors(effects, parts, without=False):
+    """(largest difference of model and plant) per column, with an IMU that is late by parts / FINE of a sample.
+
+    The states of the model are those of the instant that the IMU shows: it starts from the plant's at that instant."""
+    late = {"sensor_delay": {"d": parts * DT / FINE}}
+    plant = Quadrotor(
+        CROOKED, [in_the_plant(n, v) for n, v in (effects | late).items()], sample_time=DT / FINE, substep=DT / FINE
+    )
+    tilt = np.array([0.95, 0.1, -0.2, 0.15])
+    plant.reset(
+        0, position=(0.2, -0.1, 5.0), velocity=(2.0, -1.5, 0.5), attitude=tuple(tilt / np.linalg.norm(tilt)),
+        rates=(1.0, -0.7, 0.5),
+    )  # fmt: skip
+    model = model_of(CROOKED, *effects, *([] if without else late), dt=DT)
+    p = vector(model, **{f"{n}__{k}": v for n, own in (effects | ({} if without else late)).items() for k, v in own.items()})
+    u, seen, truth = commands(N, 1), [], []
+    for k in range(N * FINE):
+        row = plant.measure(u[k // FINE])
+        truth.append(plant.states())
+        if k % FINE == 0:
+            seen.append([row[c] for c in model.outputs.names])
+        plant.step(u[k // FINE])
+    first, past = 6, model.window[0]
+    at = truth[first * FINE - (0 if without else parts)]
+    x = state(
+        model, position=[at[c] for c in "xyz"], velocity=[at[f"v{c}"] for c in "xyz"],
+        attitude=[at[f"q{c}"] for c in "wxyz"], rate=[at[c] for c in "pqr"], rotor=[at[f"nu{i}"] for i in range(1, 5)],
+    )  # fmt: skip
+    padded = np.vstack([np.full((past, 4), CROOKED.hover_speed), u])
+    step, output = function(model, "step"), function(model, "output")
+    predicted = []
+    for k in range(first, N):
+        window = padded[k : k + past + 1].T
+        predicted.append(flat(output(x, window, p, np.zeros(6), DT)))
+        x = flat(step(x, window, p, np.zeros(6), DT))
+    return largest_difference(np.array(seen[first:]), np.array(predicted), model.outputs.names)
+
+
+IMU = ("p", "q", "r", "ax", "ay", "az")
+POSE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz")
+
+
+@pytest.mark.parametrize("parts", [1, 3, 5, 8, 10])
+def test_states_live_on_the_clock_of_a_late_imu(parts):
+    """Commands come to it as much later, the pose is as much ahead."""
+    lag = {"motor_lag": {"tau": 0.04}}
+    error, change = late_imu_errors(lag, parts), late_imu_errors(lag, parts, without=True)
+    assert max(error[c] for c in IMU) < 2e-5, error
+    assert all(change[c] > 5e-4 for c in IMU)
+    assert max(v for k, v in error.items() if k.startswith("omega")) < 1e-3, error
+    assert max(error[c] for c in POSE) < 3e-4, error
+
+
+@pytest.mark.parametrize("parts", [1, 3, 5, 8, 10])
+def test_a_late_imu_on_rotors_without_lag(parts):
+    """As exact as late commands are there (below)."""
+    error, change = late_imu_errors({}, parts), late_imu_errors({}, parts, without=True)
+    for c in IMU:
+        assert error[c] < (0.01 if c in ("ax", "ay", "az") else 0.05) * change[c], c
+    assert max(error[c] for c in POSE) < 5e-4, error
+
+
+def test_delays_of_imu_and_pose_that_are_alike_are_late_commands():
+    d = 1.4 * DT
+    lag = {"motor_lag": {"tau": 0.04}}
+    both = model_of(CROOKED, *lag, "sensor_delay", "pose_delay", dt=DT)
+    late = model_of(CROOKED, *lag, "command_delay", dt=DT)
+    p = vector(both, motor_lag__tau=0.04, sensor_delay__d=d, pose_delay__d=d)
+    q = vector(late, motor_lag__tau=0.04, command_delay__d=d)
+    x = state(both, velocity=[2.0, -1.5, 0.5], rate=[1.0, -0.7, 0.5])
+    rows, w = commands(40, 3), np.zeros(6)
+    for which in ("step", "output"):
+        out = [
+            flat(function(m, which)(x, rows[30 - m.window[0] : 31].T, v, w, DT)) for m, v in ((both, p), (late, q))
+        ]
+        timed = [i for i, n in enumerate(both.outputs.names) if not n.startswith("omega")]
+        seen = timed if which == "output" else slice(None)
+        np.testing.assert_allclose(out[0][seen], out[1][seen], atol=1e-12)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.4, 0.9])

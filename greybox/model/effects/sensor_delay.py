@@ -13,21 +13,21 @@ from greybox.symbolic import Expr
 class SensorDelay(Effect):
     """Gyro and accelerometer report the instant t - d; pose, velocity and commands are those of t.
 
-    The model goes back from x(t) by one straight step, x(t - d) = x - d dx/dt, and lets both sensors read there: the
-    gyro shows omega - d domega/dt with the mean of the commands since then, the accelerometer the specific force of the
-    earlier state, with the rotor speeds of the command in force d earlier. Errors are of second order: d^2/2 times the
-    second derivative of the state.
+    The states of a model with this effect are those of the instant that gyro and accelerometer show: commands reach them d
+    later, the pose is d ahead of them, by the midpoint rule with the mean command in between, and so are measured rotor
+    speeds. The fast sensors are then exact however long d is, and force and torque noise of the last d, which they have
+    not seen, counts nowhere. Errors of the pose are those of pose_delay.
 
     It is not pose_delay with the other sign: there commands stay with the IMU, here they stay with the pose. A delay
-    common to IMU and pose is command_delay.
+    common to IMU and pose is command_delay, to the last digit.
     """
 
     name = "sensor_delay"
     stage = "sensor"
     summary = "gyro and accelerometer are seen later than pose and commands"
-    formula = "y_imu(t) = h_imu(x(t - d)), x(t - d) = x - d dx/dt"
+    formula = "y_imu(t) = h_imu(x(t - d)), y_pose(t) = h_pose(x(t)), u(t)"
     references = ("Li and Mourikis 2014, Online temporal calibration for camera-IMU systems, IJRR 33(7)",)
-    validity = "delays over which rotor speed and body rate run nearly straight: up to about half of a motor lag"
+    validity = "delays over which rotor speed runs nearly straight: a few tens of milliseconds"
     needs = Needs(sensors=("gyro", "accelerometer"), other_sensors=("position", "attitude", "velocity"))
     order = 50
     early = frozenset({"imu_delay"})
