@@ -82,7 +82,10 @@ def next_addition(
         task = nest.task((*at.effects, *chosen), start=at, first=first, shares=shares)
         tasks.append(nest.from_each(task) if any(by_name[n].refit for n in chosen) else task)
     fits: dict[tuple[str, ...], Refit] = {}
+    behind: dict[tuple[str, ...], Refit] = {}
     for chosen, found in zip(sets, nest.contest(tasks), strict=True):
+        if found.overtaken:
+            behind[chosen] = found
         enough = plain if any(s.name in chosen for s in rare) else -np.inf
         if found.comparable and not any(found.at_bound(n) for n in chosen) and at.bic - found.bic > enough:
             fits[chosen] = found
@@ -98,7 +101,8 @@ def next_addition(
     if gain < CLEAR:
         return None
     # A pair that contains the best, or a part of it, is no rival: it is the same story with more or fewer words.
-    others = [c for c in order[1:] if not set(c) & set(best)]
+    fits = behind | fits
+    others = [c for c in (*order[1:], *behind) if not set(c) & set(best)]
     gaps = {"+".join(c): fits[c].bic - fits[best].bic for c in others}
     near = {n: g for n, g in gaps.items() if g < CLEAR}
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))

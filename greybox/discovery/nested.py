@@ -56,6 +56,8 @@ ROUGH = 0.1
 """Where a fit that need not be exact stops: the cost that is left is a few times that."""
 ROOM = 30.0
 """BIC behind the best within which rough fits are made exact: what matters is decided within 10."""
+OPENING = 10
+"""Iterations after which rivals are held against the best for the first time."""
 FEW = 15
 """Iterations that show which of several starts leads somewhere."""
 CAREFUL = 1.0
@@ -74,8 +76,8 @@ FINE = tuple(k / 10 for k in range(12, 0, -1))
 class Task:
     """One fit in plain values: `model` holds just the effects that are free; `starts` are unknowns to start from, of which
     the likeliest is taken; a fit without any starts its noise levels from the data. `marginal`: rivals differ in what they
-    must guess of the start of a flight (its velocity), and pay for it. `damping`, `tolerance` and `iterations` are those of
-    the solver."""
+    must guess of the start of a flight (its velocity), and pay for it. `damping`, `tolerance`, `iterations` and `target` are
+    those of the solver."""
 
     effects: tuple[str, ...]
     model: PhysicsModel
@@ -88,6 +90,7 @@ class Task:
     iterations: int = 60
     damping: float = LevenbergMarquardt.initial_damping
     marginal: bool = False
+    target: float = np.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +126,11 @@ class Refit:
         """Whether its likelihood can be held against others: the optimum, or a kink (a delay of whole samples) where no
         step lowers the cost. It is a lower bound of what the model can do in any case."""
         return self.converged or self.status.code is Code.NO_PROGRESS
+
+    @property
+    def overtaken(self) -> bool:
+        """Whether it was ended far behind a rival."""
+        return self.status.code is Code.BEHIND
 
     @property
     def bic(self) -> float:
@@ -197,6 +205,15 @@ def _levels(found: IdentifiedModel, model: Dynamics) -> dict[str, float]:
     return {n: v for n, v in noise_of(found).items() if n in there}
 
 
+def _onwards(task: Task, found: Refit, bic: float) -> Task:
+    """The task from where its first iterations led; it need not be carried out if it cannot come below that BIC."""
+    price = found.n_parameters * float(np.log(max(found.n_samples, 1)))
+    return replace(
+        task, tolerance=ROUGH, starts=(found.theta,), iterations=task.iterations - OPENING,
+        target=np.inf if task.marginal else 0.5 * (bic - price),
+    )  # fmt: skip
+
+
 def _canonical(model: Any) -> Any:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
     if isinstance(model, SensorNoise | Disturbed):
@@ -224,7 +241,7 @@ def solve(task: Task, data: Dataset) -> Refit:
         starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
         solver = LevenbergMarquardt(
-            tolerance=task.tolerance, max_iterations=task.iterations, initial_damping=task.damping
+            tolerance=task.tolerance, max_iterations=task.iterations, initial_damping=task.damping, target=task.target
         )  # fmt: skip
         theta, status = solver.solve(problem, start)
         value = problem.evaluate(theta, 1 if task.marginal else 0)
@@ -296,9 +313,14 @@ class Nest:
 
     def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
         """Carry out tasks that are held against each other, and against a fit of BIC `held`: exactly where BIC comes within
-        `ROOM` of the best, roughly where it does not (then it is a little too large). What ran out of iterations there goes
-        on, `LONGER` times at most."""
-        found = self.refits([replace(t, tolerance=ROUGH) for t in tasks])
+        `ROOM` of the best, roughly where it does not (then it is a little too large), and no further than it takes to see
+        that it cannot catch up. What ran out of iterations there goes on, `LONGER` times at most."""
+        found = self.refits([replace(t, tolerance=ROUGH, iterations=min(OPENING, t.iterations)) for t in tasks])
+        best = min([held, *(r.bic for r in found if r.comparable and not any(map(r.at_bound, r.effects)))])
+        slow = [i for i, r in enumerate(found) if r.status.code is Code.MAX_ITERATIONS and tasks[i].iterations > OPENING]
+        further = self.refits([_onwards(tasks[i], found[i], best + ROOM) for i in slow])
+        for i, refit in zip(slow, further, strict=True):
+            found[i] = refit
         done = [0] * len(tasks)
         while True:
             best = min([held, *(r.bic for r in found if r.comparable)])

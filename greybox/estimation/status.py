@@ -19,6 +19,7 @@ class Code(enum.Enum):
         "NOT converged: no step lowers the cost although the gradient does not vanish. The model may be discontinuous "
         "here or the data contain outliers: look at the innovations, try the robust criterion or other start values."
     )
+    BEHIND = "NOT converged: ended early, as it could not catch up with the fit that it was held against."
     INVALID_START = (
         "NOT converged: the model gives no finite prediction at the start values. Check units and the vehicle file."
     )

@@ -20,6 +20,7 @@ class Refits:
 
     bic: Mapping[tuple[str, ...], float]
     failed: tuple[tuple[str, ...], ...] = ()
+    overtaken: tuple[tuple[str, ...], ...] = ()
     bound: tuple[str, ...] = ()
     asked: list[tuple[str, ...]] = field(default_factory=list)
     theta: Mapping[tuple[str, None], float] = field(default_factory=dict)
@@ -45,6 +46,7 @@ class Refits:
                 effects=chosen, theta=dict(self.theta), bic=self.bic.get(chosen, 1e9),
                 at_bound=lambda name: name in self.bound,
                 comparable=chosen not in self.failed, converged=chosen not in self.failed,
+                overtaken=chosen in self.overtaken,
                 loglik=-0.5 * self.bic.get(chosen, 1e9), evidence=-0.5 * self.bic.get(chosen, 1e9),
                 n_parameters=5 + len(chosen),
                 fit=SimpleNamespace(
@@ -99,6 +101,15 @@ def test_a_limit_that_few_blocks_feel_must_gain_plainly():
     assert found is not None
     assert found.effects == ("limit",)
     assert choose(Refits({(): 1000.0, ("limit",): 500.0}), limit(0.8)) is None
+
+
+def test_a_rival_that_was_given_up_far_behind_is_a_rival_but_no_name():
+    refits = Refits({(): 1000.0, ("a",): 500.0, ("b",): 900.0}, failed=(("b",),), overtaken=(("b",),))
+    found = choose(refits, score("a", 0.001), score("b", 0.001))
+    assert found is not None
+    assert (found.effects, found.delta_bic_rival) == (("a",), 400.0)
+    refits = Refits({(): 1000.0, ("b",): 900.0}, failed=(("b",),), overtaken=(("b",),))
+    assert choose(refits, score("b", 0.001)) is None
 
 
 def test_a_late_command_contends_whatever_its_score():

@@ -17,7 +17,7 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import Simulation
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.solvers import SOLVERS
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt, hopeless
 from greybox.estimation.status import Code
 from greybox.symbolic import FloatArray
 from tests import motor
@@ -125,9 +125,31 @@ class Creeping:
     unknowns = (SimpleNamespace(kind="parameter"),)
 
     def evaluate(self, x, order=2):
-        return SimpleNamespace(
-            cost=1e3 + 0.5 * float(x @ x), valid=True, gradient=x.copy(), hessian=np.array([[50.0]])
-        )  # fmt: skip
+        cost = 1e3 + 0.5 * float(x @ x)
+        return SimpleNamespace(cost=cost, likelihood=cost, valid=True, gradient=x.copy(), hessian=np.array([[50.0]]))
+
+
+def test_a_search_ends_where_it_cannot_catch_up() -> None:
+    """Far above the target it stops as soon as its pace is known; a target that it reaches changes nothing."""
+    problem, start, best = quadrotor_problem("innovation")
+    cost = problem.evaluate(best, 0).likelihood
+    _, lost = LevenbergMarquardt(target=cost - 1e4).solve(problem, start)
+    assert lost.code is Code.BEHIND
+    assert not lost.converged
+    plain, status = LevenbergMarquardt().solve(problem, start)
+    aimed, other = LevenbergMarquardt(target=cost + 1.0).solve(problem, start)
+    assert status.converged
+    assert other == status
+    np.testing.assert_array_equal(plain, aimed)
+
+
+def test_the_pace_is_that_of_the_last_iterations() -> None:
+    falling = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
+    assert not hopeless(falling, target=-500.0, left=5)  # twice 100 an iteration
+    assert hopeless(falling, target=-501.0, left=5)
+    assert not hopeless(falling[:-1], target=-1e9, left=1)
+    assert hopeless([5.0, *[1.0] * 6], target=0.9, left=50)
+    assert not hopeless([5.0, *[1.0] * 6], target=np.inf, left=50)
 
 
 @pytest.mark.parametrize(("start", "arrived"), [(0.4, True), (4.0, False)])

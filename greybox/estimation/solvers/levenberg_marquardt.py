@@ -6,7 +6,7 @@ active set on the quadratic model (`boxed_step`). Steps of noise levels are take
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,9 @@ POOR = 0.25
 FALL = -0.375
 """Most negative step of a noise level: its variance falls to a quarter."""
 
+PACE = 5
+"""Iterations over which the pace is measured of a search that must reach a target."""
+
 Progress = Callable[[int, float, float], None]
 
 
@@ -38,7 +41,8 @@ class LevenbergMarquardt:
 
     The cost is a negative log likelihood, so that 1e-6 means: every estimate is within about a thousandth of its
     standard error of the optimum; after the last iteration, or where rounding stops it, a thousand times that is enough.
-    `damped=False` starts as pure Gauss-Newton with step halving.
+    `damped=False` starts as pure Gauss-Newton with step halving. Above the `target`, a negative log likelihood, the result
+    is of no interest: the search ends where even twice its pace would not lead there in the iterations that are left.
     """
 
     name: str = "levenberg-marquardt"
@@ -46,6 +50,7 @@ class LevenbergMarquardt:
     max_iterations: int = 60
     initial_damping: float = 1e-3
     damped: bool = True
+    target: float = np.inf
 
     def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
@@ -61,6 +66,7 @@ class LevenbergMarquardt:
         decrement = np.inf
         code = Code.MAX_ITERATIONS
         iteration = 0
+        trail: list[float] = []
         try:
             for iteration in range(1, self.max_iterations + 1):
                 assert value.gradient is not None and value.hessian is not None
@@ -71,6 +77,10 @@ class LevenbergMarquardt:
                     progress(iteration, value.cost, decrement)
                 if decrement < self.tolerance:
                     code = Code.CONVERGED
+                    break
+                trail.append(value.likelihood)
+                if hopeless(trail, self.target, self.max_iterations - iteration):
+                    code = Code.BEHIND
                     break
                 moved = False
                 for _ in range(30):
@@ -116,6 +126,15 @@ class LevenbergMarquardt:
         if code is Code.INTERRUPTED:
             raise Interrupted((x, status))
         return x, status
+
+
+def hopeless(trail: Sequence[float], target: float, left: int) -> bool:
+    """Whether a search with these values of the negative log likelihood so far will not reach the target in the iterations
+    that are `left`, at twice its pace over the last `PACE`."""
+    if len(trail) <= PACE:
+        return False
+    pace = (trail[-1 - PACE] - trail[-1]) / PACE
+    return trail[-1] - target > 2 * max(pace, 0.0) * left
 
 
 def stepped_back(
