@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
-from greybox.discovery.candidates import candidates
+from greybox.discovery.candidates import TIMING, candidates
 from greybox.discovery.carried import carried, is_carried, may_carry, memories
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
@@ -37,7 +37,9 @@ from greybox.discovery.verify import Verified, gap_rows, verified
 from greybox.discovery.veto import HeldOut, unseen
 from greybox.discovery.written import lawful_model
 from greybox.errors import DataError, GreyboxError, UnknownNameError
+from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
+from greybox.estimation.status import Code
 from greybox.model.effect import Effect
 from greybox.model.vehicle import Vehicle
 
@@ -119,8 +121,6 @@ def discover(
     say("fit without any addition", 0.05)
     null = nest.refit(())
     warnings: list[str] = []
-    if not null.fit.converged:
-        warnings.append(f"the fit without any addition: {null.fit.status.advice}")
     search = Search(held_out=held_out, alpha=alpha, seed=seed, max_effects=max_effects, say=say, interim=interim)
     interim(null, ())
     done = search.run(nest, null)
@@ -157,6 +157,7 @@ def discover(
             settings["carried"] = memories(last.at.fit, last.leftover)
             warnings += on[0].warnings
     at, additions, leftover = last.at, last.additions, last.leftover
+    warnings += _unfinished(null.fit, at)
     named = {n for a in additions for n in a.effects}
     # What was withheld at one step and named at a later one is named.
     withheld = [w for w in {w.effects: w for w in (*withheld, *last.withheld)}.values() if not set(w.effects) <= named]
@@ -231,6 +232,24 @@ def _long_enough(train: Dataset) -> None:
             "no training flight is long enough to search in", expected=f"{SHORTEST_FLIGHT:g} s without an interruption",
             got=f"{longest:.2g} s at most", fix="flights of some ten seconds in which everything moves",
         )  # fmt: skip
+
+
+def _unfinished(null: Fit, last: NestedFit) -> list[str]:
+    """Warnings of fits that did not converge: the one without any addition and the last one."""
+    said = []
+    if not null.converged and last.fit is not null:
+        said.append(
+            f"the fit without any addition stopped after {null.status.iterations} iterations before its optimum, as much is "
+            "missing: the gap before is a little too large"
+        )
+    if last.fit.status.code is Code.NO_PROGRESS and (late := set(TIMING) & set(last.effects)):
+        said.append(
+            f"the last fit ended at a kink of the likelihood, as of a delay of whole samples ({', '.join(sorted(late))}): "
+            "the standard error is that of one side"
+        )
+    elif not last.fit.converged:
+        said.append(f"the last fit: {last.fit.status.advice}")
+    return said
 
 
 def _verdict(additions: Iterable[Addition], leftover: Promoted | None) -> str:
