@@ -173,7 +173,8 @@ def test_the_way_on_from_what_has_no_name_is_a_command():
     assert "No law was found" not in page
     given["unnamed"] = [*given["unnamed"], given["unnamed"][0] | {"channel": "torque.x", "file": None}]
     page = discover_report(given)
-    assert "No law was found for torque.x: greybox learn model.json --train LOGS --effects-file mine.py" in page
+    assert "No law was found for torque.x: no signal of the log explains it" in page
+    assert "greybox learn model.json --train LOGS --effects-file mine.py" in page
 
 
 def test_the_map_of_regimes_is_drawn_where_something_is_missing():
