@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.stats
 
-from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
+from greybox.discovery.candidates import IN_OTHER_WORDS, LOOK_ALIKES, TIMING, TOGETHER
 from greybox.discovery.nested import FINE, ROOM, SHARES, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
@@ -27,6 +27,8 @@ PLAIN = 0.1
 """Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
 as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold
 must gain that much where few blocks feel it."""
+TIED = 1.0
+"""BIC within which two ways to say the same are the same."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 
@@ -102,7 +104,8 @@ def next_addition(
         return None
     # A pair that contains the best, or a part of it, is no rival: it is the same story with more or fewer words.
     fits = behind | fits
-    others = [c for c in (*order[1:], *behind) if not set(c) & set(best)]
+    same = _in_other_words(at, best)
+    others = [c for c in (*order[1:], *behind) if not set(c) & (set(best) | same)]
     gaps = {"+".join(c): fits[c].bic - fits[best].bic for c in others}
     near = {n: g for n, g in gaps.items() if g < CLEAR}
     weights = np.exp(-0.5 * np.array([0.0, *near.values()]))
@@ -111,14 +114,18 @@ def next_addition(
     alike = _all_late(nest, fits[best], best)
     rivals = _same_within_a_sample(nest, fits[best], best, gaps) or (alike if set(rivals) <= set(alike) else rivals)
     p_value = min(by_name[n].p_family for n in best)
+    gap = min(gaps.values()) if gaps else None
+    after = fits[best]
+    if shorter := _late_commands(nest, at, after):
+        best, rivals, after = tuple(n for n in shorter.effects if n not in at.effects), {}, shorter
+        gain = at.bic - after.bic
     if {*best} <= {s.name for s in unscored}:
-        p_value = _likelihood_ratio(at, fits[best], len(nest.candidates.parameters))
+        p_value = _likelihood_ratio(at, after, len(nest.candidates.parameters))
         if p_value > alpha:
             return None
     return Addition(
-        effects=best, p_value=p_value, delta_bic=gain,
-        delta_bic_rival=min(gaps.values()) if gaps else None, rivals=rivals, before=at, after=nest.settle(fits[best]),
-        scores=tuple(scores),
+        effects=best, p_value=p_value, delta_bic=gain, delta_bic_rival=gap, rivals=rivals, before=at,
+        after=nest.settle(after), scores=tuple(scores),
     )  # fmt: skip
 
 
@@ -152,6 +159,34 @@ def _all_late(nest: Nest, found: Refit, best: tuple[str, ...]) -> dict[str, floa
         return {}
     size = min((v for (n, _), v in found.theta.items() if n.split(".")[0] in best), default=0.0)
     return {} if size < 0 else dict.fromkeys(("command_delay", other), 0.5)
+
+
+def _in_other_words(at: NestedFit, best: tuple[str, ...]) -> set[str]:
+    """What says the same as `best` next to what `at` has: where one kind of sensor is late, late commands, or that the other
+    sensors are late, only shift the clock."""
+    for short, long in IN_OTHER_WORDS.items():
+        whole = {short, *long}
+        if len(set(long) & set(at.effects)) == 1 and short not in at.effects and set(best) < whole:
+            return whole - set(at.effects) - set(best)
+    return set()
+
+
+def _late_commands(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
+    """A fit that `found` late gyro, accelerometer and pose, the pose no earlier, said as late commands and what the pose is
+    later than these; None where it says something else. If nothing is left for the pose its name goes when names are left
+    out again."""
+    (short, (imu, pose)), = IN_OTHER_WORDS.items()
+    if not {imu, pose} <= set(found.effects) or short in found.effects or short not in nest.candidates.parameters:
+        return None
+    late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in (imu, pose)}
+    short_time = SHORT * nest.candidates.model.sample_time
+    if late[imu] < short_time or late[pose] < late[imu] - short_time:
+        return None
+    effects = [e for e in found.effects if e != imu]
+    said = dict(found.theta) | {(f"{short}.d", None): late[imu], (f"{pose}.d", None): late[pose] - late[imu]}
+    task = replace(nest.task((*effects, short), start=at), starts=(said,))
+    shorter = nest.contest([task], found.bic)[0]
+    return shorter if shorter.comparable and shorter.bic < found.bic + TIED else None
 
 
 def stands_in(nest: Nest, found: Addition, instead_of: Sequence[Addition]) -> Addition | None:
@@ -207,10 +242,15 @@ def prune(
     """
     notes = []
     for earlier in additions if len(additions) > 1 or single else ():
-        for name in (n for n in earlier.effects if n not in spared):
+        for name in (n for n in earlier.effects if n in at.effects and n not in spared):
             smaller, gain = still_needed(nest, at, name, earlier.before)
             if smaller is not None:
                 notes.append(f"{name} was added and is not needed next to the others (BIC {gain:.1f}): removed")
                 at = smaller
+    return at, still_there(additions, at), notes
+
+
+def still_there(additions: Sequence[Addition], at: NestedFit) -> list[Addition]:
+    """The additions with the effects that the fit `at` has."""
     kept = [replace(a, effects=tuple(e for e in a.effects if e in at.effects)) for a in additions]
-    return at, [a for a in kept if a.effects], notes
+    return [a for a in kept if a.effects]

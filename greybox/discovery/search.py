@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from greybox.discovery.candidates import TIMING
 from greybox.discovery.carried import all_white, whitens
 from greybox.discovery.imu_filter import filtered_after_all, filtered_imu, may_be_filtered, unfiltered
-from greybox.discovery.name import Addition, next_addition, prune, stands_in
+from greybox.discovery.name import Addition, next_addition, prune, stands_in, still_there
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.screen import Score
 from greybox.discovery.velocity import drifts
@@ -95,8 +95,8 @@ class Search:
                     ready = None
                     continue
             self.say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
-            additions.append(found)
             at = found.after
+            additions = still_there([*additions, found], at)
             self.interim(at, additions)
         at, additions, removed = prune(nest, at, additions, spared=spared)
         done = Found(

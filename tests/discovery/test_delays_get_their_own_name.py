@@ -9,6 +9,11 @@ import numpy as np
 import pytest
 
 import greybox.discovery.candidates
+from greybox.data import Dataset
+from greybox.discovery.candidates import candidates
+from greybox.discovery.lead import led
+from greybox.discovery.name import next_addition, prune
+from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.workflow import discover
 from greybox.estimation.engine import engine_for
 from greybox.estimation.record import make_record
@@ -45,6 +50,29 @@ def test_all_sensors_late_alike_are_late_commands_in_other_words():
     assert effect["parameters"]["d"]["value"] == pytest.approx(0.013, abs=4e-4)
     assert effect["alternatives"] == ["sensor_delay+pose_delay"]
     assert "the same thing in these logs: sensor_delay and pose_delay alike" in found.summary()
+
+
+@pytest.mark.parametrize("first", ["sensor_delay", "pose_delay"])
+@pytest.mark.parametrize("hidden", [(CommandDelay(d=0.02),), (CommandDelay(d=0.02), PoseDelay(d=0.015))])
+def test_late_sensors_that_were_named_first_do_not_hide_late_commands(hidden: tuple[PlantEffect, ...], first: str):
+    """Late gyro and accelerometer next to a pose that is as late, or later, shift the clock and nothing else."""
+    nest, at = begun(flown(*hidden, seconds=6.0), first)
+    found = next_addition(nest, at, nest.screen(at, alpha=0.05, seed=0), 0.05)
+    assert found is not None
+    assert not found.rivals
+    last, kept, _ = prune(nest, found.after, [found], single=True)
+    assert set(last.effects) - {first} == {e.name for e in hidden} - {first}
+    for effect in hidden:
+        d = last.fit.parameters[f"{effect.name}.d"]
+        assert d.value == pytest.approx(next(iter(effect.parameters().values())), abs=2e-4)
+    assert all(set(a.effects) <= set(last.effects) for a in kept)
+
+
+def begun(data: Dataset, first: str) -> tuple[Nest, NestedFit]:
+    """A search in which the delay of some sensors has its name already."""
+    offered = candidates(vehicle(), data.channels, sample_time=0.01)
+    nest = Nest(candidates=offered, data=led(data))
+    return nest, nest.refit((first,), start=nest.refit(()), first={(f"{first}.d", None): 0.015})
 
 
 def test_commands_before_a_cut_are_used():
