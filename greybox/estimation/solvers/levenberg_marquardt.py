@@ -67,12 +67,17 @@ class LevenbergMarquardt:
         code = Code.MAX_ITERATIONS
         iteration = 0
         trail: list[float] = []
+        curvature = Curvature()
         try:
             for iteration in range(1, self.max_iterations + 1):
                 assert value.gradient is not None and value.hessian is not None
-                g, h = value.gradient, value.hessian
-                full = boxed_step(g, h, lower - x, upper - x, 0.0)
-                decrement = max(-float(g @ full + 0.5 * full @ h @ full), 0.0)
+                g, h = value.gradient, curvature.at(x, value)
+                decrement = promised(g, h, lower - x, upper - x)
+                if decrement < self.tolerance and h is not value.hessian:
+                    # Secants do not say alone that the search has arrived.
+                    plainly = promised(g, value.hessian, lower - x, upper - x)
+                    if plainly > max(NEAR, self.tolerance):
+                        h, decrement = value.hessian, plainly
                 if progress:
                     progress(iteration, value.cost, decrement)
                 if decrement < self.tolerance:
@@ -115,7 +120,9 @@ class LevenbergMarquardt:
                         x, value = part, trial
                         break
                     damping = max(10 * damping, 1e-6)
-                if not moved:
+                if not moved and h is not value.hessian:
+                    curvature = Curvature()
+                elif not moved:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
         except KeyboardInterrupt:
@@ -135,6 +142,71 @@ def hopeless(trail: Sequence[float], target: float, left: int) -> bool:
         return False
     pace = (trail[-1 - PACE] - trail[-1]) / PACE
     return trail[-1] - target > 2 * max(pace, 0.0) * left
+
+
+class Curvature:
+    """The Hessian along a search: Gauss-Newton's, or that with what its steps showed to be missing, whichever foretold the
+    last step better.
+
+    The Gauss-Newton (expected) Hessian is the true one where the model is right. Where something is missing the innovations
+    are larger than they are expected to be, in ways that change with the parameters, and steps cross a curved valley to and
+    fro. What is missing is learned from the changes of the gradient (Dennis, Gay and Welsch 1981, An adaptive nonlinear
+    least-squares algorithm, ACM Trans. Mathematical Software 7(3): structured secant, sizing, switching of models).
+    """
+
+    def __init__(self) -> None:
+        self._missing: FloatArray | None = None
+        self._last: tuple[FloatArray, Value] | None = None
+        self._trusted = False
+
+    def at(self, x: FloatArray, value: Value) -> FloatArray:
+        """The Hessian (n, n) to use at x (n,), the next point of the search, where the cost has this value."""
+        assert value.gradient is not None and value.hessian is not None
+        plain = value.hessian
+        if self._last is None:
+            self._missing = np.zeros_like(plain)
+        else:
+            assert self._missing is not None
+            before, was = self._last
+            assert was.gradient is not None and was.hessian is not None
+            step, fall = x - before, was.cost - value.cost
+            slope = float(was.gradient @ step)
+            off = [abs(-slope - 0.5 * float(step @ m @ step) - fall) for m in (was.hessian, was.hessian + self._missing)]
+            self._trusted = off[1] < off[0]
+            self._missing = with_secant(self._missing, step, value.gradient - was.gradient, plain)
+        self._last = (x, value)
+        whole = plain + self._missing
+        return whole if self._trusted and definite(whole) else plain
+
+
+def with_secant(missing: FloatArray, step: FloatArray, change: FloatArray, plain: FloatArray) -> FloatArray:
+    """What is missing of the Hessian (n, n), so that next to `plain` it explains by how much the gradient changed along the
+    step (both (n,)); as it was where that does not rise."""
+    rise = float(change @ step)
+    if rise <= 0:
+        return missing
+    rest = change - plain @ step
+    size = abs(float(step @ missing @ step))
+    if size > 0:
+        missing = missing * min(1.0, abs(float(step @ rest)) / size)
+    off = rest - missing @ step
+    both = np.outer(off, change)
+    return missing + (both + both.T) / rise - float(off @ step) * np.outer(change, change) / rise**2
+
+
+def definite(h: FloatArray) -> bool:
+    """Whether a matrix (n, n) is clearly positive definite, in units of its diagonal."""
+    diagonal = np.diag(h)
+    if not (diagonal > 0).all():
+        return False
+    root = np.sqrt(diagonal)
+    return bool(np.linalg.eigvalsh(h / np.outer(root, root))[0] > 1e-10)
+
+
+def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> float:
+    """The decrease that a full step within low <= step <= high promises."""
+    full = boxed_step(g, h, low, high, 0.0)
+    return max(-float(g @ full + 0.5 * full @ h @ full), 0.0)
 
 
 def stepped_back(
