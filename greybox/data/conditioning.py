@@ -178,7 +178,10 @@ def _resampled(part: Part, dt: float, step: float, flight: str, linear_hold: boo
         elif dt > AVERAGE_FROM * step and not sparse:
             out[name] = averaged(t, values, grid, step=step, ahead=command, linear=not command or linear_hold)
         elif command and not linear_hold:
-            out[name] = held(t, values, grid)
+            # A command that comes a little after its grid point acts over the rest of that step, not from the next one on.
+            mean = averaged(t, values, grid, step=step, ahead=True, linear=False)
+            mean = np.clip(mean, np.nanmin(values), np.nanmax(values))
+            out[name] = np.where(np.isfinite(mean), mean, held(t, values, grid))
         else:
             out[name] = interpolated(t, values, grid, step=step)
     if whole:

@@ -115,8 +115,26 @@ def test_resampling_an_irregular_clock_reproduces_slow_signals(seed):
     (segment,) = flight.segments
     assert segment.dt == 1e-3
     assert np.abs(segment.column("p") - np.sin(20 * segment.t)).max() < 1e-3
-    assert np.array_equal(segment.column("u1"), u[np.searchsorted(t, segment.t, side="right") - 1])
+    # A command acts from its stamp on: every step of the grid gets what acted over it in the mean.
+    acted = np.concatenate([[0.0], np.cumsum(u[:-1] * np.diff(t))])
+    edges = np.append(segment.t, segment.t[-1] + segment.dt)
+    mean = np.diff(np.interp(edges, t, acted)) / segment.dt
+    assert np.abs(segment.column("u1") - mean)[:-1].max() < 1e-9
+    assert u.min() <= segment.column("u1").min() <= segment.column("u1").max() <= u.max()
     assert any("not uniform" in n and "resampled to 1000 Hz" in n for n in flight.notes)
+
+
+def test_noisy_stamps_cost_a_command_no_sample():
+    """Stamps that are a tenth of a sample off move a command by as much, not by a sample."""
+    rng = np.random.default_rng(5)
+    ideal = 0.01 * np.arange(2000)
+    t = ideal + rng.normal(0.0, 1e-3, ideal.size)
+    u = rng.uniform(0.3, 0.7, ideal.size)
+    (segment,) = condition(raw_log(t, u1=u, p=np.sin(t)), trim=False).segments
+    assert segment.dt == pytest.approx(0.01, rel=1e-3)
+    sent = u[np.clip(np.round((segment.t - ideal[0]) / 0.01).astype(int), 0, u.size - 1)]
+    off = segment.column("u1") - sent
+    assert np.sqrt(np.mean(off**2)) < 0.25 * np.sqrt(np.mean(np.diff(u) ** 2))
 
 
 def test_downsampling_averages_and_keeps_the_integral_of_the_command():
