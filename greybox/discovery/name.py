@@ -164,18 +164,17 @@ def _all_late(nest: Nest, found: Refit, best: tuple[str, ...]) -> dict[str, floa
 def _in_other_words(at: NestedFit, best: tuple[str, ...]) -> set[str]:
     """What says the same as `best` next to what `at` has: where one kind of sensor is late, late commands, or that the other
     sensors are late, only shift the clock."""
-    for short, long in IN_OTHER_WORDS.items():
-        whole = {short, *long}
-        if len(set(long) & set(at.effects)) == 1 and short not in at.effects and set(best) < whole:
-            return whole - set(at.effects) - set(best)
-    return set()
+    ((short, long),) = IN_OTHER_WORDS.items()
+    same = {short, *long} - set(at.effects) - set(best)
+    one_late = len(set(long) & set(at.effects)) == 1 and short not in at.effects
+    return same if one_late and set(best) < {short, *long} else set()
 
 
 def _late_commands(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
     """A fit that `found` late gyro, accelerometer and pose, the pose no earlier, said as late commands and what the pose is
     later than these; None where it says something else. If nothing is left for the pose its name goes when names are left
     out again."""
-    (short, (imu, pose)), = IN_OTHER_WORDS.items()
+    ((short, (imu, pose)),) = IN_OTHER_WORDS.items()
     if not {imu, pose} <= set(found.effects) or short in found.effects or short not in nest.candidates.parameters:
         return None
     late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in (imu, pose)}

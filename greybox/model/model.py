@@ -672,6 +672,8 @@ class PhysicsModel:
         """
         now, imu, pose = self._ages(p)
         u = self._sampled_command(window, imu, dt)
+        if not (self._has("imu_delay") or self._has("pose_delay")):
+            return self._outputs(x, u, (u, u), p, self._noise(w))
         between = self._mean_command(window, ca.fmin(imu, pose), ca.fmax(imu, pose), dt)
         since = self._mean_command(window, now, imu, dt) if self._has_lag else self._sampled_command(window, now, dt)
         return self._outputs(x, u, (between, since), p, self._noise(w))

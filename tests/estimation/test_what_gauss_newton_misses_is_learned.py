@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greybox.estimation.problem import Value
-from greybox.estimation.solvers.levenberg_marquardt import Curvature, LevenbergMarquardt, definite, with_secant
+from greybox.estimation.solvers.curvature import Curvature, definite, with_secant
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.symbolic import FloatArray
 
 SIZE = 4
@@ -46,7 +47,7 @@ def test_what_is_not_definite_is_not_used() -> None:
 def test_where_gauss_newton_is_right_it_is_used() -> None:
     """On a quadratic whose Hessian is known nothing else is ever trusted."""
     h = matrix(5)
-    curvature, x = Curvature(), np.ones(SIZE)
+    curvature, x = Curvature(SIZE), np.ones(SIZE)
     for _ in range(5):
         value = Value(cost=0.5 * float(x @ h @ x), likelihood=0.0, gradient=h @ x, hessian=h)
         assert curvature.at(x, value) is h

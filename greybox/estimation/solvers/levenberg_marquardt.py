@@ -1,7 +1,8 @@
 """Levenberg-Marquardt on exact sensitivities, with bounds by an active set.
 
 More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by an
-active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances (`moved_by`).
+active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances (`moved_by`). What the
+Gauss-Newton Hessian leaves out is learned on the way (`greybox.estimation.solvers.curvature`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from greybox.estimation.problem import Problem, Value
+from greybox.estimation.solvers.curvature import Curvature
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -67,7 +69,7 @@ class LevenbergMarquardt:
         code = Code.MAX_ITERATIONS
         iteration = 0
         trail: list[float] = []
-        curvature = Curvature()
+        curvature = Curvature(x.size)
         try:
             for iteration in range(1, self.max_iterations + 1):
                 assert value.gradient is not None and value.hessian is not None
@@ -121,7 +123,7 @@ class LevenbergMarquardt:
                         break
                     damping = max(10 * damping, 1e-6)
                 if not moved and h is not value.hessian:
-                    curvature = Curvature()
+                    curvature = Curvature(x.size)
                 elif not moved:
                     code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
                     break
@@ -142,65 +144,6 @@ def hopeless(trail: Sequence[float], target: float, left: int) -> bool:
         return False
     pace = (trail[-1 - PACE] - trail[-1]) / PACE
     return trail[-1] - target > 2 * max(pace, 0.0) * left
-
-
-class Curvature:
-    """The Hessian along a search: Gauss-Newton's, or that with what its steps showed to be missing, whichever foretold the
-    last step better.
-
-    The Gauss-Newton (expected) Hessian is the true one where the model is right. Where something is missing the innovations
-    are larger than they are expected to be, in ways that change with the parameters, and steps cross a curved valley to and
-    fro. What is missing is learned from the changes of the gradient (Dennis, Gay and Welsch 1981, An adaptive nonlinear
-    least-squares algorithm, ACM Trans. Mathematical Software 7(3): structured secant, sizing, switching of models).
-    """
-
-    def __init__(self) -> None:
-        self._missing: FloatArray | None = None
-        self._last: tuple[FloatArray, Value] | None = None
-        self._trusted = False
-
-    def at(self, x: FloatArray, value: Value) -> FloatArray:
-        """The Hessian (n, n) to use at x (n,), the next point of the search, where the cost has this value."""
-        assert value.gradient is not None and value.hessian is not None
-        plain = value.hessian
-        if self._last is None:
-            self._missing = np.zeros_like(plain)
-        else:
-            assert self._missing is not None
-            before, was = self._last
-            assert was.gradient is not None and was.hessian is not None
-            step, fall = x - before, was.cost - value.cost
-            slope = float(was.gradient @ step)
-            off = [abs(-slope - 0.5 * float(step @ m @ step) - fall) for m in (was.hessian, was.hessian + self._missing)]
-            self._trusted = off[1] < off[0]
-            self._missing = with_secant(self._missing, step, value.gradient - was.gradient, plain)
-        self._last = (x, value)
-        whole = plain + self._missing
-        return whole if self._trusted and definite(whole) else plain
-
-
-def with_secant(missing: FloatArray, step: FloatArray, change: FloatArray, plain: FloatArray) -> FloatArray:
-    """What is missing of the Hessian (n, n), so that next to `plain` it explains by how much the gradient changed along the
-    step (both (n,)); as it was where that does not rise."""
-    rise = float(change @ step)
-    if rise <= 0:
-        return missing
-    rest = change - plain @ step
-    size = abs(float(step @ missing @ step))
-    if size > 0:
-        missing = missing * min(1.0, abs(float(step @ rest)) / size)
-    off = rest - missing @ step
-    both = np.outer(off, change)
-    return missing + (both + both.T) / rise - float(off @ step) * np.outer(change, change) / rise**2
-
-
-def definite(h: FloatArray) -> bool:
-    """Whether a matrix (n, n) is clearly positive definite, in units of its diagonal."""
-    diagonal = np.diag(h)
-    if not (diagonal > 0).all():
-        return False
-    root = np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(h / np.outer(root, root))[0] > 1e-10)
 
 
 def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> float:
