@@ -116,7 +116,7 @@ def next_addition(
     p_value = min(by_name[n].p_family for n in best)
     gap = min(gaps.values()) if gaps else None
     after = fits[best]
-    if shorter := _late_commands(nest, at, after):
+    if shorter := _shorter(nest, at, after):
         best, rivals, after = tuple(n for n in shorter.effects if n not in at.effects), {}, shorter
         gain = at.bic - after.bic
     if {*best} <= {s.name for s in unscored}:
@@ -162,28 +162,36 @@ def _all_late(nest: Nest, found: Refit, best: tuple[str, ...]) -> dict[str, floa
 
 
 def _in_other_words(at: NestedFit, best: tuple[str, ...]) -> set[str]:
-    """What says the same as `best` next to what `at` has: where one kind of sensor is late, late commands, or that the other
-    sensors are late, only shift the clock."""
+    """What says the same as `best` next to what `at` has: late commands are a late IMU and a pose that is as late, so that
+    next to one of the three each of the two others says what the other does."""
     ((short, long),) = IN_OTHER_WORDS.items()
-    same = {short, *long} - set(at.effects) - set(best)
-    one_late = len(set(long) & set(at.effects)) == 1 and short not in at.effects
-    return same if one_late and set(best) < {short, *long} else set()
+    three = {short, *long}
+    same = three - set(at.effects) - set(best)
+    return same if len(three & set(at.effects)) == 1 and set(best) < three else set()
 
 
-def _late_commands(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
-    """A fit that `found` late gyro, accelerometer and pose, the pose no earlier, said as late commands and what the pose is
-    later than these; None where it says something else. If nothing is left for the pose its name goes when names are left
-    out again."""
+def _shorter(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
+    """A fit that `found` two of late commands, IMU and pose, said with later sensors and commands that nobody doubts:
+
+    a late IMU and a pose that is no earlier are late commands, and what the pose is later than these;
+    late commands and a pose that is early by no more are a late IMU, and what the commands are later than that.
+
+    None where `found` says something else. What is left with nothing to say goes when names are left out again.
+    """
     ((short, (imu, pose)),) = IN_OTHER_WORDS.items()
-    if not {imu, pose} <= set(found.effects) or short in found.effects or short not in nest.candidates.parameters:
+    if not {short, imu, pose} <= set(found.effects) | set(nest.candidates.parameters):
         return None
-    late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in (imu, pose)}
-    short_time = SHORT * nest.candidates.model.sample_time
-    if late[imu] < short_time or late[pose] < late[imu] - short_time:
+    late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in (short, imu, pose)}
+    brief = SHORT * nest.candidates.model.sample_time
+    had = {short, imu, pose} & set(found.effects)
+    if had == {imu, pose} and late[imu] >= brief and late[pose] >= late[imu] - brief:
+        gone, new, kept, shift = imu, short, pose, -late[imu]
+    elif had == {short, pose} and late[pose] <= -brief and late[short] + late[pose] >= -brief:
+        gone, new, kept, shift = pose, imu, short, late[pose]
+    else:
         return None
-    effects = [e for e in found.effects if e != imu]
-    said = dict(found.theta) | {(f"{short}.d", None): late[imu], (f"{pose}.d", None): late[pose] - late[imu]}
-    task = replace(nest.task((*effects, short), start=at), starts=(said,))
+    said = dict(found.theta) | {(f"{new}.d", None): -shift, (f"{kept}.d", None): max(late[kept] + shift, 0.0)}
+    task = replace(nest.task((*(e for e in found.effects if e != gone), new), start=at), starts=(said,))
     shorter = nest.contest([task], found.bic)[0]
     return shorter if shorter.comparable and shorter.bic < found.bic + TIED else None
 

@@ -394,25 +394,35 @@ class PhysicsModel:
             share = ca.fmin(share / aperture, 1.0)
         return ca.vertcat(newer + share * (older - newer), window[self._n :, past])
 
-    def _mean_command(self, window: Expr, young: Expr, old: Expr, dt: Expr) -> Expr:
-        """Mean of the commands that were `young` to `old` seconds old at t_k; the coming one where none of them has come."""
+    def _mean_commands(self, window: Expr, start: Expr, end: Expr, dt: Expr) -> tuple[Expr, Expr]:
+        """Of the commands that were `start` to `end` seconds old at t_k, either first: the mean, which moves a velocity, and
+        the mean weighted by the way that remains to `end`, which moves a position; the coming one where none has come."""
         past, future = self.window
+        young, old = ca.fmin(start, end), ca.fmax(start, end)
         if future:
-            return self._sampled_command(window, ca.fmax(0.5 * (young + old), 0.0), dt)
+            middle = self._sampled_command(window, ca.fmax(0.5 * (young + old), 0.0), dt)
+            return middle, middle
         if past == 0:
-            return window
+            return window, window
         # Ages in samples; of an instant the command of the step that just ended.
         first = young / dt
         last = ca.fmax(old / dt, first + 1e-6)
-        total: Expr = 0.0
-        command: Expr = 0.0
+        backwards = ca.if_else(end > start, 1.0, 0.0)
+        totals: list[Expr] = [0.0, 0.0]
+        sums: list[Expr] = [0.0, 0.0]
         for m in range(past):
-            weight = (ca.fmin(last, m + 1) if m < past - 1 else last) - ca.fmax(first, m)
-            weight = ca.fmax(weight, 0.0)
-            total, command = total + weight, command + weight * window[: self._n, past - m - 1]
+            a, b = ca.fmax(first, m), ca.fmin(last, m + 1) if m < past - 1 else last
+            length = ca.fmax(b - a, 0.0)
+            remains = backwards * last - (1 - backwards) * first + (1 - 2 * backwards) * 0.5 * (a + b)
+            for i, weight in enumerate((length, length * remains)):
+                totals[i] = totals[i] + weight
+                sums[i] = sums[i] + weight * window[: self._n, past - m - 1]
         coming = self._sampled_command(window, ca.fmax(old, 0.0), dt, aperture=1.0)
         known = ca.logic_or(old > 0, young >= 0)
-        return ca.if_else(known, ca.vertcat(command / ca.fmax(total, 1e-9), window[self._n :, past]), coming)
+        tiny = (1e-9, 1e-15)
+        rest = window[self._n :, past]
+        mean, early = (ca.vertcat(c / ca.fmax(t, z), rest) for c, t, z in zip(sums, totals, tiny, strict=True))
+        return ca.if_else(known, mean, coming), ca.if_else(known, early, coming)
 
     def _steady_speed(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
         """nu_ss: command chain, then the product of the rotor stage's factors."""
@@ -585,11 +595,12 @@ class PhysicsModel:
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise does."""
-        return self._outputs(x, u, (u, u), p, self._noise(w) if w is not None else ca.DM.zeros(9))
+        return self._outputs(x, u, (u, u, u), p, self._noise(w) if w is not None else ca.DM.zeros(9))
 
-    def _outputs(self, x: Expr, u: Expr, others: tuple[Expr, Expr], p: Expr, w: Expr) -> Expr:
-        """Outputs at the command u that gyro and accelerometer see; `others` are the mean command between that instant and
-        the one of the pose, and the one between that instant and now, or that of now where rotors have no lag."""
+    def _outputs(self, x: Expr, u: Expr, others: tuple[Expr, Expr, Expr], p: Expr, w: Expr) -> Expr:
+        """Outputs at the command u that gyro and accelerometer see; `others` are the mean commands between that instant and
+        the one of the pose (`_mean_commands`), and the one between that instant and now, or that of now where rotors have
+        no lag."""
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
@@ -597,10 +608,10 @@ class PhysicsModel:
         sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
         readings = self._measure(flow, sf, p)
         if self._has("imu_delay") or self._has("pose_delay"):
-            pose = self._measure(*self._pose_seen(blocks, nu, others[0], p, w), p)
+            pose = self._measure(*self._pose_seen(blocks, nu, others[:2], p, w), p)
             readings |= {k: pose[k] for k in ("attitude", "position", "velocity") if k in readings}
         if self._has("imu_delay") and "rotor_speed" in readings:
-            turning = self._steady_speed(others[1], values)  # measured rotor speeds are those of now
+            turning = self._steady_speed(others[2], values)  # measured rotor speeds are those of now
             if self._has_lag:
                 left = ca.exp(-self._early("imu_delay", values) / _positive(self._lag(values)))
                 turning = turning + (nu - turning) * left
@@ -608,14 +619,16 @@ class PhysicsModel:
             readings["rotor_speed"] = self._measure(seen, sf, p)["rotor_speed"]
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
-    def _pose_seen(self, blocks: Mapping[str, Expr], nu: Expr, u: Expr, p: Expr, w: Expr) -> tuple[Flow, Expr]:
+    def _pose_seen(
+        self, blocks: Mapping[str, Expr], nu: Expr, between: tuple[Expr, Expr], p: Expr, w: Expr
+    ) -> tuple[Flow, Expr]:
         """(flow, specific force) as the pose shows them, which is later than gyro and accelerometer (`pose_delay`) or
-        earlier (`imu_delay`): from the present by the midpoint rule, with the mean command u in between. The noise of
-        the coming step acts ahead of the present alone."""
+        earlier (`imu_delay`): from the present by the midpoint rule, with the mean commands `between` (`_mean_commands`).
+        The noise of the coming step acts ahead of the present alone."""
         values = self._values(p)
         back = self._early("pose_delay", values) - self._early("imu_delay", values)
         w = ca.if_else(back < 0, w, ca.DM.zeros(9))
-        steady = self._steady_speed(u, values)
+        u, steady, soon = between[0], self._steady_speed(between[0], values), self._steady_speed(between[1], values)
         if self._has_lag:
             # Backwards a settled rotor would run away: there the lag counts as no shorter than the way.
             tau = _positive(self._lag(values))
@@ -624,7 +637,7 @@ class PhysicsModel:
             mean, early = _path_means(-back / tau)
             middle, early = steady + (nu - steady) * mean, steady + (nu - steady) * early
         else:
-            middle, early, nu_rate = steady, steady, steady * 0
+            middle, early, nu_rate = steady, soon, steady * 0
         d = self._derivative(blocks, early, nu_rate, u, p, w)
         half = {b: blocks[b] - 0.5 * back * d[b] for b in blocks}
         half["attitude"] = quat_multiply(blocks["attitude"], quat_exp(-0.5 * back * blocks["rate"]))
@@ -673,10 +686,10 @@ class PhysicsModel:
         now, imu, pose = self._ages(p)
         u = self._sampled_command(window, imu, dt)
         if not (self._has("imu_delay") or self._has("pose_delay")):
-            return self._outputs(x, u, (u, u), p, self._noise(w))
-        between = self._mean_command(window, ca.fmin(imu, pose), ca.fmax(imu, pose), dt)
-        since = self._mean_command(window, now, imu, dt) if self._has_lag else self._sampled_command(window, now, dt)
-        return self._outputs(x, u, (between, since), p, self._noise(w))
+            return self._outputs(x, u, (u, u, u), p, self._noise(w))
+        between = self._mean_commands(window, imu, pose, dt)
+        since = self._mean_commands(window, imu, now, dt)[0] if self._has_lag else self._sampled_command(window, now, dt)
+        return self._outputs(x, u, (*between, since), p, self._noise(w))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""

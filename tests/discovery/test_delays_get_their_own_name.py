@@ -4,6 +4,7 @@ knows, is no evidence for rotors that lag."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,21 @@ def test_late_sensors_that_were_named_first_do_not_hide_late_commands(hidden: tu
         d = last.fit.parameters[f"{effect.name}.d"]
         assert d.value == pytest.approx(next(iter(effect.parameters().values())), abs=2e-4)
     assert all(set(a.effects) <= set(last.effects) for a in kept)
+
+
+@pytest.mark.parametrize("hidden", [(SensorDelay(d=0.013),), (SensorDelay(d=0.013), CommandDelay(d=0.01))])
+def test_late_commands_that_were_named_first_do_not_hide_a_late_imu(hidden: tuple[PlantEffect, ...]):
+    """Late commands and a pose that is early by as much are a late IMU: one name, and no group."""
+    nest, at = begun(flown(*hidden, seconds=6.0), "command_delay")
+    found = next_addition(nest, at, nest.screen(at, alpha=0.05, seed=0), 0.05)
+    assert found is not None
+    assert not found.rivals
+    assert found.effects == ("sensor_delay",)
+    last, _, _ = prune(nest, found.after, [replace(found, effects=("command_delay", "sensor_delay"))], single=True)
+    assert set(last.effects) == {e.name for e in hidden}
+    for effect in hidden:
+        d = last.fit.parameters[f"{effect.name}.d"]
+        assert d.value == pytest.approx(next(iter(effect.parameters().values())), abs=3e-4)
 
 
 def begun(data: Dataset, first: str) -> tuple[Nest, NestedFit]:

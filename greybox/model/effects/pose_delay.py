@@ -13,9 +13,9 @@ from greybox.symbolic import Expr
 class PoseDelay(Effect):
     """Position, velocity and attitude are those of t - d; IMU and commands are those of t.
 
-    The model goes back from x(t) by the midpoint rule with the mean command since then and rotors that follow it with their
-    lag: errors are of third order in d for position and attitude, and of second order times the change of the command
-    for the velocity. A negative d means that the IMU and the commands are the later ones: logs whose clocks drift
+    The model goes back from x(t) by the midpoint rule with the commands since then (their mean for velocity and rates, their
+    mean weighted by the way that remains for position and attitude) and rotors that follow the mean with their lag: errors
+    are of third order in d. A negative d means that the IMU and the commands are the later ones: logs whose clocks drift
     against each other need both signs (the command is then taken as held, and the noise of the coming step as acting
     already). sensor_delay cannot replace them, since there the commands stay with the pose.
     """
