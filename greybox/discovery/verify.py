@@ -16,7 +16,7 @@ from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
 from greybox.discovery.name import CLEAR, Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, white_levels, wrench_of
+from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, undone, white_levels, wrench_of
 from greybox.discovery.written import Looked, looked_again
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
@@ -62,6 +62,10 @@ def verified(
         if plain and not wrong:  # what proved itself is asked last, once nothing else bends the fit
             looked = looked_again(at.fit, leftover, train, seed=seed)
             wrong += [w for a in plain if (w := _replaced(nest, at, a, looked, train, held_out, seed)) is not None]
+        if not wrong and leftover.laws:
+            looked = looked or looked_again(at.fit, leftover, train, seed=seed)
+            weak = [a for a in kept if not any(set(a.effects) <= set(p) for p in proven)]
+            wrong += [w for a in weak if (w := _undone(nest, at, a, looked, train)) is not None]
         if not wrong:
             break
         withheld += wrong
@@ -69,7 +73,7 @@ def verified(
         kept = [replace(a, effects=tuple(e for e in a.effects if e not in gone)) for a in kept]
         kept = [a for a in kept if a.effects]
         at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
-        leftover = promote(at.fit, train, seed=seed)
+        leftover, looked = promote(at.fit, train, seed=seed), None
     # What a velocity that nobody measures does to force and torque looks like another law of force and torque.
     weak = [a for a in kept if _all_of(at, a, "wrench")] if nest.candidates.blind else []
     if weak and before is not None and before.deficient and leftover.unnamed and leftover.gain > MOST * before.gain:
@@ -109,6 +113,21 @@ def _misfit(nest: Nest, at: NestedFit, addition: Addition, leftover: Promoted, t
     except FitError:
         return None  # a velocity that nothing holds ran away: what the effect does along the flights is not known
     return misfit(addition.effects, wrench, white_levels(at.fit.model), leftover.unnamed, addition.delta_bic, leftover.gain)
+
+
+def _undone(nest: Nest, at: NestedFit, addition: Addition, looked: Looked, train: Dataset) -> Withheld | None:
+    """Why a name goes that brings a force or torque which the laws of what is left take away again."""
+    if looked.written is None or not _all_of(at, addition, "wrench"):
+        return None
+    lawful = looked.written.model
+    null = {d.name: d.null for d in lawful.dynamics.parameters if d.null is not None}
+    laws = {n.split(".")[0] for n in looked.written.parameters} - {n.split(".")[0] for n in at.fit.parameters}
+    try:
+        own = wrench_of(lawful, train, addition.effects, null)
+        other = wrench_of(lawful, train, sorted(laws), null)
+    except FitError:
+        return None
+    return undone(addition.effects, own, other, looked.leftover.unnamed)
 
 
 def _replaced(

@@ -11,6 +11,7 @@ checks stand against that.
 2. What is left. Where the axes that the effect acts on still miss more than half of what it explained, or the others of
    its force or torque follow a law that is larger than the effect, or any axis misses far more than it explained, the
    effect only bends towards something else: the name is taken back and the axis is reported as unnamed.
+   So it is where a law takes away again what the effect does on an axis.
    A name that made held-out flights far more likely and let their open-loop errors fall clearly has proven itself and
    stays: in a real vehicle much is always left.
 
@@ -66,6 +67,8 @@ PROVEN = 0.1
 """Relative fall of the mean square ahead on held-out flights from which on, `SURE` standard errors clear, a name that also
 gained `PLAIN` has proven itself. Any constant does so where a law is missing, and proves nothing."""
 SURE = 5.0
+OPPOSED = 0.7
+"""Correlation below minus which a law works against a name."""
 SENSED = {"accelerometer": ("force",), "gyro": ("torque",)}
 """What is mistaken for an error of that sensor, and the other way round; of all others (a late pose) it is either."""
 AXES = tuple(f"{kind}.{a}" for kind in ("force", "torque") for a in "xyz")
@@ -323,6 +326,19 @@ def misfit(
         most = max(own, key=lambda law: law.gain)
         return Withheld(effects=tuple(effects), reason=f"{most.channel} misses more than half of what it explained")
     return misfit_of(effects, {a.split(".")[0] for a in touched}, size, left, gained)
+
+
+def undone(
+    effects: Sequence[str], wrench: FloatArray, laws: FloatArray, left: Sequence[Leftover]
+) -> Withheld | None:  # fmt: skip
+    """Why `effects` are refuted that bring the `wrench` (N, 6), where the `laws` (N, 6) of what is `left` take it away again
+    on an axis: they push against it (correlation beyond -`OPPOSED`) and leave less than half of it."""
+    lawful = {law.channel for law in left if law.lawful}
+    for axis, own, law in zip(AXES, wrench.T, laws.T, strict=True):
+        mine, its, both = float(own @ own), float(law @ law), float(own @ law)
+        if axis in lawful and both < -OPPOSED * float(np.sqrt(mine * its)) and abs(1 + both / mine) < HALF:
+            return Withheld(effects=tuple(effects), reason=f"the law of what is left undoes what it does to {axis}")
+    return None
 
 
 def misread(

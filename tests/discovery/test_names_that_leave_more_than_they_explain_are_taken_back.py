@@ -23,6 +23,7 @@ from greybox.discovery.veto import (
     misfit_of,
     misread,
     touched_by,
+    undone,
     unseen,
     wrench_of,
 )
@@ -64,6 +65,23 @@ def test_a_law_larger_than_the_effect_takes_its_name_back():
 )
 def test_little_left_or_left_elsewhere_leaves_the_name_alone(left: Leftover):
     assert misfit(("rotational_damping",), torque(0.001), LEVELS, [left], 100) is None
+
+
+@pytest.mark.parametrize(
+    ("share", "noise", "gone"),
+    [(-1.1, 0.2, True), (-0.8, 0.2, True), (-0.3, 0.1, False), (-1.0, 2.0, False), (1.0, 0.2, False), (-20.0, 0.2, False)],
+)
+def test_a_law_that_undoes_what_a_name_does_to_an_axis_refutes_it(share: float, noise: float, gone: bool):
+    """A rotor drag on the arms brakes the yaw; where the yaw is not braked, the drag is none of the rotors'. What is small
+    against the law, or the other way round, is another matter."""
+    own = torque(0.001)
+    laws = share * own + torque(abs(share) * noise * 0.001)[::-1]
+    left = law("torque.x", rms=0.001, share=0.8, gain=100)
+    found = undone(("rotor_drag",), own, laws, [left])
+    assert (found is not None) == gone
+    assert found is None or "torque.x" in found.reason
+    assert undone(("rotor_drag",), own, laws, [replace(left, channel="torque.y")]) is None
+    assert undone(("rotor_drag",), own, laws, [replace(left, terms={})]) is None
 
 
 def test_axes_that_it_acts_on_may_miss_half_of_what_it_explained_together():
