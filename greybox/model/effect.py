@@ -19,7 +19,7 @@ Stage = Literal["command", "rotor", "thrust", "body", "wrench", "sensor"]
 
 SLOTS: Mapping[str, frozenset[str]] = {
     "command": frozenset({"delay", "command"}),
-    "rotor": frozenset({"steady_factor", "lag"}),
+    "rotor": frozenset({"steady_factor", "lag", "lag_asymmetry"}),
     "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
     "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
     "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
@@ -28,12 +28,13 @@ SLOTS: Mapping[str, frozenset[str]] = {
     ),
 }
 """What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
-at most one lag (tau_up, tau_down) [s]; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
+at most one lag [s], longer by lag_asymmetry of itself for rotors that slow down and shorter by as much for those that
+speed up; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
 multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs,
 winds [m/s] in world axes add; sensor: the value replaces the measured one, in the order of `Effect.order`, delays of gyro
 and accelerometer (imu_delay) and of the pose (pose_delay) [s] add."""
 
-EARLY = frozenset({"delay", "lag", "wind", "imu_delay", "pose_delay"})
+EARLY = frozenset({"delay", "lag", "lag_asymmetry", "wind", "imu_delay", "pose_delay"})
 """Slots that the model must know before it comes to their stage: states, window and airspeeds depend on them."""
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -443,6 +443,12 @@ class PhysicsModel:
         """Time constant; it may be zero (divide by `_positive` of it)."""
         return self._early("lag", values)
 
+    def _lag_over(self, gap: Expr, values: Mapping[str, Expr]) -> Expr:
+        """Time constant of rotors that are faster than their goal by `gap` (n): of each its own where slowing down takes
+        another time than speeding up."""
+        tau = self._lag(values) if self._has_lag else 0.0
+        return tau * (1 + self._early("lag_asymmetry", values) * ca.sign(gap)) if self._has("lag_asymmetry") else tau
+
     def _rigid_body(
         self, x: Mapping[str, Expr], nu: Expr, nu_rate: Expr, u: Expr, p: Expr, w: Expr
     ) -> tuple[Expr, Expr, Flow]:
@@ -587,7 +593,7 @@ class PhysicsModel:
         values = self._values(p)
         steady = self._steady_speed(u, values)
         if self._has_lag:
-            nu_rate = (steady - nu) / _positive(self._lag(values))
+            nu_rate = (steady - nu) / _positive(self._lag_over(nu - steady, values))
         else:
             nu, nu_rate = steady, steady * 0
         d = self._derivative(blocks, nu, nu_rate, u, p, self._noise(w) if w is not None else ca.DM.zeros(9))
@@ -604,7 +610,8 @@ class PhysicsModel:
         blocks, nu = self._split(x)
         values = self._values(p)
         steady = self._steady_speed(u, values)
-        nu_rate = (steady - nu) / _positive(self._lag(values)) if self._has_lag else steady * 0
+        lag = _positive(self._lag_over(nu - steady, values)) if self._has_lag else 1.0
+        nu_rate = (steady - nu) / lag if self._has_lag else steady * 0
         sf, _, flow = self._rigid_body(blocks, nu if self._has_lag else steady, nu_rate, u, p, w)
         readings = self._measure(flow, sf, p)
         if self._has("imu_delay") or self._has("pose_delay"):
@@ -613,7 +620,8 @@ class PhysicsModel:
         if self._has("imu_delay") and "rotor_speed" in readings:
             turning = self._steady_speed(others[2], values)  # measured rotor speeds are those of now
             if self._has_lag:
-                left = ca.exp(-self._early("imu_delay", values) / _positive(self._lag(values)))
+                lag = _positive(self._lag_over(nu - turning, values))
+                left = ca.exp(-self._early("imu_delay", values) / lag)
                 turning = turning + (nu - turning) * left
             seen = replace(flow, nu=turning, rotor_speed=self.vehicle.omega_scale * turning)
             readings["rotor_speed"] = self._measure(seen, sf, p)["rotor_speed"]
@@ -631,7 +639,7 @@ class PhysicsModel:
         u, steady, soon = between[0], self._steady_speed(between[0], values), self._steady_speed(between[1], values)
         if self._has_lag:
             # Backwards a settled rotor would run away: there the lag counts as no shorter than the way.
-            tau = _positive(self._lag(values))
+            tau = _positive(self._lag_over(nu - steady, values))
             tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
             nu_rate = (steady - nu) / ca.fmax(tau, ca.fabs(back))
             mean, early = _path_means(-back / tau)
@@ -663,8 +671,8 @@ class PhysicsModel:
         w = self._noise(w)
         first, second = self._steady_speed(u_a, values), self._steady_speed(u_b, values)
         u = u_b
-        tau = self._lag(values) if self._has_lag else 0.0
-        path, end = _rotor_path(nu if self._has_lag else first, first, second, switch, dt, tau)
+        start = nu if self._has_lag else first
+        path, end = _rotor_path(start, first, second, switch, dt, lambda gap: self._lag_over(gap, values))
         slope = (end - nu) / dt if self._has_lag else end * 0
 
         def moved(k: Mapping[str, Expr], step: Expr) -> dict[str, Expr]:
@@ -890,9 +898,10 @@ def _path_means(z: Expr) -> tuple[Expr, Expr]:
 
 
 def _rotor_path(
-    nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, tau: Expr
+    nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, lag: Callable[[Expr], Expr]
 ) -> tuple[tuple[Expr, Expr, Expr], Expr]:
-    """((nu at 0, dt/2 and dt for Runge-Kutta), nu at the end) of a first-order lag whose goal changes at `switch`.
+    """((nu at 0, dt/2 and dt for Runge-Kutta), nu at the end) of a first-order lag whose goal changes at `switch`; `lag`
+    gives the time constant of rotors that are faster than their goal by so much, which stays until they reach it.
 
     The end is exact. The integrator gets the straight line that has the mean and the first moment of the exact path
     over the step, so that impulse and displacement are right however short tau is against dt and wherever the goal
@@ -900,12 +909,16 @@ def _rotor_path(
     stands before every exponential, so that tau = 0 is the rotor without lag to the last digit and the slope there is
     the true one, -(goal - nu)/dt in the mean.
     """
-    before, after, short = switch / dt, 1 - switch / dt, tau / dt
-    left_a, left_b = ca.exp(-switch / _positive(tau)), ca.exp(-(dt - switch) / _positive(tau))
-    start_a, start_b = nu - first, first - second + (nu - first) * left_a
+    before, after = switch / dt, 1 - switch / dt
+    start_a, tau_a = nu - first, lag(nu - first)
+    left_a = ca.exp(-switch / _positive(tau_a))
+    start_b = first - second + start_a * left_a
+    tau_b = lag(start_b)
+    left_b = ca.exp(-(dt - switch) / _positive(tau_b))
     # Moments over [0, length] of exp(-xi / short), xi the time in units of dt.
-    area_a, area_b = short * (1 - left_a), short * (1 - left_b)
-    arm_a, arm_b = short * (area_a - before * left_a), short * (area_b - after * left_b)
+    short_a, short_b = tau_a / dt, tau_b / dt
+    area_a, area_b = short_a * (1 - left_a), short_b * (1 - left_b)
+    arm_a, arm_b = short_a * (area_a - before * left_a), short_b * (area_b - after * left_b)
     mean = before * first + after * second + start_a * area_a + start_b * area_b
     moment = 0.5 * before * after * (second - first)  # about the middle of the step
     moment = moment + start_a * (arm_a - 0.5 * area_a) + start_b * (arm_b + (before - 0.5) * area_b)

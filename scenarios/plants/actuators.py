@@ -23,10 +23,12 @@ class Actuators:
         lags = hooks(effects, "lag")
         if len(lags) > 1:
             raise ValueError("more than one effect gives the rotors a lag; keep one")
-        constants: tuple[Number, Number] = lags[0]() if lags else (0.0, 0.0)
-        self._up, self._down = constants
+        self._up: Number = lags[0]() if lags else 0.0
+        self._down = self._up
+        for asymmetry in hooks(effects, "lag_asymmetry"):
+            self._up, self._down = self._up * (1.0 - asymmetry()), self._down * (1.0 + asymmetry())
         self._instant_up, self._instant_down = self._zero(self._up), self._zero(self._down)
-        positive = [float(v) for tau in constants for v in np.ravel(tau) if v > 0.0]
+        positive = [float(v) for tau in (self._up, self._down) for v in np.ravel(tau) if v > 0.0]
         self.shortest_lag = min(positive, default=0.0)
         """Shortest time constant above zero [s], or zero."""
         self._rotors = rotors

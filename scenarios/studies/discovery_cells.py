@@ -72,6 +72,7 @@ PAIRS = (
     ("blade_flapping", "rotational_damping"), ("center_of_mass_offset", "rotor_asymmetry"),
     ("accelerometer_bias", "parasitic_drag"), ("motor_lag", "command_delay"), ("gyro_bias", "accelerometer_scale"),
     ("products_of_inertia", "rotor_gyroscopic"), ("axial_inflow", "imu_misalignment"),
+    ("motor_lag", "motor_lag_asymmetry"),
 )  # fmt: skip
 TRIPLES = (
     ("motor_lag", "rotor_drag", "rotational_damping"), ("battery_sag", "axial_inflow", "accelerometer_bias"),
@@ -164,6 +165,8 @@ def effect_of(name: str, frame: Airframe) -> hidden.PlantEffect:
     """A hidden effect at the size at which it matters in flight."""
     if name == "steady_wind":
         return hidden.SteadyWind(w_x=1.5, w_y=-1.0)
+    if name == "motor_lag_asymmetry":
+        return hidden.MotorLagAsymmetry(a=0.3)
     return cases(frame)[name][0]
 
 

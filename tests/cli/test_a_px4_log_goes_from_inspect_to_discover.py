@@ -28,7 +28,7 @@ def test_a_hidden_drag_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[st
         for name, log in zip("abc", flown, strict=True)
     )
     assert main(["inspect", a, "--vehicle", vehicle]) == 0
-    assert "effects: 28 of 28" in capsys.readouterr().out
+    assert "effects: 29 of 29" in capsys.readouterr().out
     assert main(["check", a, "--vehicle", vehicle]) == 0
     fitted = tmp_path / "fit"
     assert main(["fit", "--vehicle", vehicle, "--train", a, b, "--effects", "rotor_drag", "--out", str(fitted)]) == 0

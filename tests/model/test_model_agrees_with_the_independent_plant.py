@@ -24,6 +24,7 @@ VALUES = {
     "command_delay": {"d": 4 * DT},
     "thrust_curve": {"f": 0.35},
     "motor_lag": {"tau": 0.03},
+    "motor_lag_asymmetry": {"a": 0.4},
     "battery_sag": {"c_V": 0.8},
     "rotor_asymmetry": {"delta_1": 0.03, "delta_2": -0.05, "delta_3": 0.04},
     "center_of_mass_offset": {"c_x": 4e-3, "c_y": -3e-3, "c_z": 5e-3},
@@ -48,7 +49,10 @@ VALUES = {
     "accelerometer_scale": {"s_x": 0.03, "s_y": -0.02, "s_z": 0.05},
     "gyro_scale": {"s_x": -0.03, "s_y": 0.02, "s_z": 0.05},
 }
-NEEDED = {"steady_wind": ("rotor_drag", "parasitic_drag", "axial_inflow", "translational_lift", "blade_flapping")}
+NEEDED = {
+    "steady_wind": ("rotor_drag", "parasitic_drag", "axial_inflow", "translational_lift", "blade_flapping"),
+    "motor_lag_asymmetry": ("motor_lag",),
+}
 """Effects without which another is not felt."""
 LOW = {"ground_effect"}
 """Effects that are felt near the ground only."""

@@ -24,6 +24,7 @@ from scenarios.plants.effects import (
     ImuMisalignment,
     MocapMisalignment,
     MotorLag,
+    MotorLagAsymmetry,
     ParasiticDrag,
     PayloadMass,
     PoseDelay,
@@ -56,6 +57,7 @@ AWAY = {
     RotationalDamping: RotationalDamping(d_p=1e-6),
     RotorAsymmetry: RotorAsymmetry(delta=(0.02, -0.02, 0.0, 0.0)),
     RotorDrag: DRAG,
+    MotorLagAsymmetry: MotorLagAsymmetry(a=0.4),
     SteadyWind: SteadyWind(w_x=1.0),
     ThrustCurve: ThrustCurve(f=0.2),
     AccelerometerLeverArm: AccelerometerLeverArm(r_x=0.01),
@@ -71,6 +73,10 @@ AWAY = {
     SensorDelay: SensorDelay(d=0.007),
     TranslationalLift: TranslationalLift(k_h=1e-3),
 }
+
+
+NEEDED = {SteadyWind: (DRAG,), MotorLagAsymmetry: (MotorLag(tau=0.03),)}
+"""What an effect is felt through."""
 
 
 def flight(*effects):
@@ -91,13 +97,13 @@ def null(kind):
 
 @pytest.mark.parametrize("kind", CATALOGUE, ids=lambda k: k.name)
 def test_null_is_identity(kind):
-    base = () if kind is not SteadyWind else (DRAG,)
+    base = NEEDED.get(kind, ())
     assert np.max(np.abs(flight(*base, null(kind)) - flight(*base))) < 1e-12
 
 
 @pytest.mark.parametrize("kind", CATALOGUE, ids=lambda k: k.name)
 def test_away_from_the_null_it_shows(kind):
-    base = () if kind is not SteadyWind else (DRAG,)
+    base = NEEDED.get(kind, ())
     assert np.max(np.abs(flight(*base, AWAY[kind]) - flight(*base))) > 1e-5
 
 
@@ -140,7 +146,7 @@ def test_motor_lag_is_the_exact_exponential():
 
 
 def test_a_rotor_may_spin_down_more_slowly_than_up():
-    plant = Quadrotor(NANO, [MotorLag(tau=0.02, tau_down=0.05)])
+    plant = Quadrotor(NANO, [MotorLag(tau=0.035), MotorLagAsymmetry(a=3 / 7)])
     hover = NANO.hover_speed
     plant.step([0.9, 0.5, hover, hover], 0.01)
     s = plant.states()

@@ -21,7 +21,7 @@ class MotorLag(Effect):
         "Mahony, Kumar and Corke 2012, Multirotor Aerial Vehicles, IEEE Robotics & Automation Magazine 19(3)",
         "Eschmann, Albani and Loianno 2024, Data-Driven System Identification of Quadrotors Subject to Motor Delays",
     )
-    validity = "one time constant for speeding up and slowing down"
+    validity = "one time constant for speeding up and slowing down (see motor_lag_asymmetry)"
     early = frozenset({"lag"})
     case = ReferenceCase(
         parameters={"tau": 0.05}, flow={}, expected={"lag": 0.05}, working="the lag is the parameter itself"

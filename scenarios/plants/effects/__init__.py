@@ -19,6 +19,7 @@ from scenarios.plants.effects.gyro_scale import GyroScale
 from scenarios.plants.effects.imu_misalignment import ImuMisalignment
 from scenarios.plants.effects.mocap_misalignment import MocapMisalignment
 from scenarios.plants.effects.motor_lag import MotorLag
+from scenarios.plants.effects.motor_lag_asymmetry import MotorLagAsymmetry
 from scenarios.plants.effects.parasitic_drag import ParasiticDrag
 from scenarios.plants.effects.payload_mass import PayloadMass
 from scenarios.plants.effects.pose_delay import PoseDelay
@@ -49,6 +50,7 @@ CATALOGUE: tuple[type[PlantEffect], ...] = (
     ImuMisalignment,
     MocapMisalignment,
     MotorLag,
+    MotorLagAsymmetry,
     ParasiticDrag,
     PayloadMass,
     PoseDelay,

@@ -115,9 +115,13 @@ class PlantEffect:
         """Factor on the steady rotor speed at this battery voltage [V]."""
         return 1.0
 
-    def lag(self) -> tuple[Number, Number]:
-        """Time constants [s] of the rotor speed going up and going down."""
-        return (0.0, 0.0)
+    def lag(self) -> Number:
+        """Time constant [s] of the rotor speed."""
+        return 0.0
+
+    def lag_asymmetry(self) -> Number:
+        """Share of itself by which that is longer going down, and shorter going up."""
+        return 0.0
 
     # thrust
     def thrust_factor(self, hub: Hub) -> Number:
