@@ -14,21 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.stats
 
-from greybox.discovery.candidates import IN_OTHER_WORDS, LOOK_ALIKES, TIMING, TOGETHER
+from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
+from greybox.discovery.clocks import SHORT, in_other_words, said_shorter
 from greybox.discovery.nested import FINE, ROOM, SHARES, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
 
 CLEAR = 10.0
 """BIC difference above which one model is said to beat another."""
-SHORT = 0.25
-"""Part of a sample below which lag and delay of the command are not told apart: all that is seen is which command a sample
-still felt, and that is as much a matter of how the log was written."""
 PLAIN = 0.1
 """Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
 as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold
 must gain that much where few blocks feel it."""
-TIED = 1.0
-"""BIC within which two ways to say the same are the same."""
 CONTENDERS = 4
 """How many candidates of a screening are refitted."""
 
@@ -104,7 +100,7 @@ def next_addition(
         return None
     # A pair that contains the best, or a part of it, is no rival: it is the same story with more or fewer words.
     fits = behind | fits
-    same = _in_other_words(at, best)
+    same = in_other_words(at, best)
     others = [c for c in (*order[1:], *behind) if not set(c) & (set(best) | same)]
     gaps = {"+".join(c): fits[c].bic - fits[best].bic for c in others}
     near = {n: g for n, g in gaps.items() if g < CLEAR}
@@ -116,7 +112,7 @@ def next_addition(
     p_value = min(by_name[n].p_family for n in best)
     gap = min(gaps.values()) if gaps else None
     after = fits[best]
-    if shorter := _shorter(nest, at, after):
+    if shorter := said_shorter(nest, at, after):
         best, rivals, after = tuple(n for n in shorter.effects if n not in at.effects), {}, shorter
         gain = at.bic - after.bic
     if {*best} <= {s.name for s in unscored}:
@@ -159,41 +155,6 @@ def _all_late(nest: Nest, found: Refit, best: tuple[str, ...]) -> dict[str, floa
         return {}
     size = min((v for (n, _), v in found.theta.items() if n.split(".")[0] in best), default=0.0)
     return {} if size < 0 else dict.fromkeys(("command_delay", other), 0.5)
-
-
-def _in_other_words(at: NestedFit, best: tuple[str, ...]) -> set[str]:
-    """What says the same as `best` next to what `at` has: late commands are a late IMU and a pose that is as late, so that
-    next to one of the three each of the two others says what the other does."""
-    ((short, long),) = IN_OTHER_WORDS.items()
-    three = {short, *long}
-    same = three - set(at.effects) - set(best)
-    return same if len(three & set(at.effects)) == 1 and set(best) < three else set()
-
-
-def _shorter(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
-    """A fit that `found` two of late commands, IMU and pose, said with later sensors and commands that nobody doubts:
-
-    a late IMU and a pose that is no earlier are late commands, and what the pose is later than these;
-    late commands and a pose that is early by no more are a late IMU, and what the commands are later than that.
-
-    None where `found` says something else. What is left with nothing to say goes when names are left out again.
-    """
-    ((short, (imu, pose)),) = IN_OTHER_WORDS.items()
-    if not {short, imu, pose} <= set(found.effects) | set(nest.candidates.parameters):
-        return None
-    late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in (short, imu, pose)}
-    brief = SHORT * nest.candidates.model.sample_time
-    had = {short, imu, pose} & set(found.effects)
-    if had == {imu, pose} and late[imu] >= brief and late[pose] >= late[imu] - brief:
-        gone, new, kept, shift = imu, short, pose, -late[imu]
-    elif had == {short, pose} and late[pose] <= -brief and late[short] + late[pose] >= -brief:
-        gone, new, kept, shift = pose, imu, short, late[pose]
-    else:
-        return None
-    said = dict(found.theta) | {(f"{new}.d", None): -shift, (f"{kept}.d", None): max(late[kept] + shift, 0.0)}
-    task = replace(nest.task((*(e for e in found.effects if e != gone), new), start=at), starts=(said,))
-    shorter = nest.contest([task], found.bic)[0]
-    return shorter if shorter.comparable and shorter.bic < found.bic + TIED else None
 
 
 def stands_in(nest: Nest, found: Addition, instead_of: Sequence[Addition]) -> Addition | None:

@@ -21,6 +21,7 @@ from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.discovery.candidates import TIMING, candidates
 from greybox.discovery.carried import carried, is_carried, may_carry, memories
+from greybox.discovery.clocks import never_separated, said_two_ways
 from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.gap import outgrown
 from greybox.discovery.lead import led
@@ -192,9 +193,10 @@ def discover(
         )
     separating = {}
     for a in additions:
-        if a.rivals:
+        if a.rivals and not never_separated(at, a.rivals):
             say(f"what separates {' and '.join(a.rivals)}", 0.97)
             separating[a.effects] = _separating(nest if is_carried(a.before.fit) else done.nest, a)
+    said, otherwise = said_two_ways(nest, at, additions)
     skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not (s.judged or s.refit)}
     if unscored := [s.name for s in scores if s.refit]:
         warnings.append(
@@ -202,10 +204,10 @@ def discover(
             "to be seen is not known"
         )
     return Discovery(
-        verdict=_verdict(additions, leftover), additions=tuple(additions), fit=at.fit, final=at, leftover=leftover,
+        verdict=_verdict(said, leftover), additions=tuple(said), fit=at.fit, final=at, leftover=leftover,
         before=before, gap=rows,
         gap_on="test" if judged is not train else "train", unjudged=skipped, last_scores=tuple(scores),
-        minimum_detectable=_detectable(scores, alpha), faults=(), warnings=tuple(warnings),
+        minimum_detectable=_detectable(scores, alpha), faults=(), warnings=(*warnings, *otherwise),
         omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
         withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),

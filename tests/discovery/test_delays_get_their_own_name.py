@@ -84,6 +84,30 @@ def test_late_commands_that_were_named_first_do_not_hide_a_late_imu(hidden: tupl
         assert d.value == pytest.approx(next(iter(effect.parameters().values())), abs=3e-4)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "group", "kept"),
+    [
+        ((CommandDelay(d=0.01), PoseDelay(d=0.015)), {"command_delay", "sensor_delay"}, ("pose_delay", (0.015, 0.025))),
+        ((SensorDelay(d=0.01), PoseDelay(d=0.025)), {"command_delay", "sensor_delay"}, ("pose_delay", (0.015, 0.025))),
+        ((SensorDelay(d=0.02), PoseDelay(d=0.008)), {"command_delay", "pose_delay"}, ("sensor_delay", (0.012, 0.02))),
+    ],
+)
+def test_what_takes_two_delays_to_say_is_said_two_ways(
+    hidden: tuple[PlantEffect, ...], group: set[str], kept: tuple[str, tuple[float, ...]]
+):
+    """Each way has its size of the delay that both need: one is estimated, the other in the warning."""
+    found = discover(vehicle(), flown(*hidden, seconds=6.0), flown(*hidden, seeds=(11,), name="test"))
+    ((effect,), (ambiguous,)) = found.effects(), found.to_dict()["ambiguous"]
+    assert {c["name"]: c["weight"] for c in ambiguous["candidates"]} == dict.fromkeys(group, 0.5)
+    assert ambiguous["separating_manoeuvre"] is None
+    name, sizes = kept
+    assert effect["name"] == name
+    assert min(abs(effect["parameters"]["d"]["value"] - s) for s in sizes) < 4e-4
+    (said,) = [w for w in found.warnings if "no log tells these apart" in w]
+    told = float(said.split(f"next to a {name} of ")[1].split(" ms")[0]) / 1e3
+    assert sorted([told, effect["parameters"]["d"]["value"]]) == pytest.approx(sorted(sizes), abs=5e-4)
+
+
 def begun(data: Dataset, first: str) -> tuple[Nest, NestedFit]:
     """A search in which the delay of some sensors has its name already."""
     offered = candidates(vehicle(), data.channels, sample_time=0.01)
