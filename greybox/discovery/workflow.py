@@ -42,6 +42,7 @@ from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
 from greybox.estimation.status import Code
 from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
 from greybox.model.vehicle import Vehicle
 
 POWER = 0.9
@@ -197,7 +198,7 @@ def discover(
             say(f"what separates {' and '.join(a.rivals)}", 0.97)
             separating[a.effects] = _separating(nest if is_carried(a.before.fit) else done.nest, a)
     said, otherwise = said_two_ways(nest, at, additions)
-    skipped = dict(offered.unjudged) | {s.name: s.reason for s in scores if not (s.judged or s.refit)}
+    skipped = dict(offered.unjudged) | {s.name: _why(s, at) for s in scores if not (s.judged or s.refit)}
     if unscored := [s.name for s in scores if s.refit]:
         warnings.append(
             f"nothing shows a velocity without {', '.join(unscored)}: these can only be refitted, and how small they may be "
@@ -286,6 +287,13 @@ def _go_on(search: Search, done: Found, last: Verified, seed: int) -> tuple[Foun
     return replace(found, warnings=[*found.warnings, *lost]), replace(
         last, at=found.at, additions=found.additions, withheld=withheld, leftover=leftover, written=None
     )
+
+
+def _why(score: Score, at: NestedFit) -> str:
+    """Why an effect cannot be judged: first that it acts through others that the model does not have."""
+    effects = {e.name for e in at.fit.model.physics.effects}
+    through = [n for e in CATALOGUE if e.name == score.name for n in e.needs.effects]
+    return score.reason if not through or effects & set(through) else f"felt only with {' or '.join(through)}"
 
 
 def _errors(
