@@ -79,7 +79,7 @@ class Discovery:
         """Named effects with the estimates of the final fit."""
         out = []
         assert self.fit is not None
-        for step, a in enumerate(self.additions, 1):
+        for step, a in self._numbered():
             if a.rivals:
                 continue
             for name in a.effects:
@@ -100,6 +100,14 @@ class Discovery:
                         "step": step,
                     }
                 )
+        return out
+
+    def _numbered(self) -> list[tuple[int, Addition]]:
+        """(step, addition): what was added together and then said apart has the same step."""
+        out: list[tuple[int, Addition]] = []
+        for a in self.additions:
+            number, last = out[-1] if out else (0, None)
+            out.append((number + (last is None or a.after is not last.after), a))
         return out
 
     def _in_other_words(self, name: str, size: float) -> list[str]:
@@ -143,7 +151,13 @@ class Discovery:
 
     def steps(self) -> list[dict[str, Any]]:
         """Every screening with what was added after it; the last one, where nothing was, included."""
-        screenings = [(a.effects, a.delta_bic, a.rivals, a.scores) for a in self.additions]
+        screenings: list[tuple[tuple[str, ...], float, dict[str, float], tuple[Score, ...]]] = []
+        for k, a in self._numbered():
+            if k == len(screenings):
+                added, gain, rivals, scores = screenings[-1]
+                screenings[-1] = (*added, *a.effects), gain, rivals | a.rivals, scores
+            else:
+                screenings.append((a.effects, a.delta_bic, a.rivals, a.scores))
         if self.last_scores:
             screenings.append(((), 0.0, {}, self.last_scores))
         return [

@@ -20,7 +20,7 @@ from greybox.estimation.engine import engine_for
 from greybox.estimation.record import make_record
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import build_model
-from scenarios.plants.effects import CommandDelay, PlantEffect, PoseDelay, SensorDelay
+from scenarios.plants.effects import CommandDelay, MotorLag, PlantEffect, PoseDelay, SensorDelay
 from tests.discovery.small_world import flown, vehicle
 
 TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
@@ -106,6 +106,20 @@ def test_what_takes_two_delays_to_say_is_said_two_ways(
     (said,) = [w for w in found.warnings if "no log tells these apart" in w]
     told = float(said.split(f"next to a {name} of ")[1].split(" ms")[0]) / 1e3
     assert sorted([told, effect["parameters"]["d"]["value"]]) == pytest.approx(sorted(sizes), abs=5e-4)
+
+
+def test_a_lag_that_came_with_late_commands_keeps_its_name_and_its_step():
+    hidden = (MotorLag(tau=0.04), CommandDelay(d=0.012), PoseDelay(d=0.02))
+    found = discover(vehicle(), flown(*hidden, seconds=8.0), flown(*hidden, seeds=(11,), name="test"))
+    content = found.to_dict()
+    assert {e["name"] for e in content["effects"]} == {"motor_lag", "pose_delay"}
+    (group,) = content["ambiguous"]
+    assert {c["name"] for c in group["candidates"]} == {"command_delay", "sensor_delay"}
+    steps = {s["step"]: s["added"] for s in content["steps"]}
+    assert sorted(steps) == list(range(1, len(steps) + 1))
+    for effect in content["effects"]:
+        assert effect["name"] in steps[effect["step"]]
+    assert sorted(n for added in steps.values() for n in added) == ["command_delay", "motor_lag", "pose_delay"]
 
 
 def begun(data: Dataset, first: str) -> tuple[Nest, NestedFit]:
