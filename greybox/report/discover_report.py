@@ -32,6 +32,8 @@ CLEAR = 10.0
 BARS = 14
 """Candidates that a bar chart shows; the table has all."""
 
+CLOCKS = {"command_delay", "sensor_delay", "pose_delay"}
+"""Delays that shift one clock against another: of the three a log shows two."""
 
 def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
     """The page of a discovery. `content` follows schemas/discovery.json. Raises `KeyError` where a required field is
@@ -441,7 +443,17 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             a["separating_manoeuvre"] for a in content["ambiguous"] if isinstance(a["separating_manoeuvre"], Mapping)
         ]
         texts += [f"Fly what tells the candidates apart: {m['text']}." for m in told]
-        if len(told) < len(content["ambiguous"]):
+        clocks = [
+            a for a in content["ambiguous"]
+            if {c["name"] for c in a["candidates"]} <= CLOCKS and a["separating_manoeuvre"] is None
+        ]  # fmt: skip
+        if clocks:
+            names = " or ".join(c["name"] for c in clocks[0]["candidates"])
+            texts.append(
+                f"No flight tells {names}: they only shift the clock. Measure one delay by itself, as from a command to the "
+                "rotor speed, or of a filter of the IMU from its settings, and put it into the vehicle file."
+            )
+        if len(told) + len(clocks) < len(content["ambiguous"]):
             texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
     own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]

@@ -22,6 +22,7 @@ from scenarios.studies.recovery import EFFECTS, plant
 PLANTS = {e.name: e for e in CATALOGUE}
 LOW = RandomWaypoints(center=(0.0, 0.0, 0.12), box=(1.0, 1.0, 0.06))
 CASES = {
+    "motor_lag_asymmetry": {"a": 0.3},
     "command_saturation": {"a_hi": 0.35},
     "axial_inflow": {"k_z": 2e-6},
     "translational_lift": {"k_h": 2e-4},

@@ -132,6 +132,16 @@ def told() -> dict[str, Any]:
     return {**one, "runners_up": [other]}
 
 
+def test_delays_that_no_flight_tells_apart_are_not_to_be_flown():
+    given = content("ambiguous")
+    given["ambiguous"][0] |= {
+        "candidates": [{"name": n, "weight": 0.5} for n in ("command_delay", "sensor_delay")], "separating_manoeuvre": None
+    }  # fmt: skip
+    page = discover_report(given)
+    assert "No flight tells command_delay or sensor_delay" in page
+    assert "Fly what tells the candidates apart" not in page
+
+
 def test_an_ambiguous_answer_says_what_to_fly_and_what_it_will_tell():
     given = content("ambiguous")
     given["ambiguous"][0]["separating_manoeuvre"] = told()
