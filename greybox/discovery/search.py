@@ -99,6 +99,8 @@ class Search:
             additions = still_there([*additions, found], at)
             self.interim(at, additions)
         at, additions, removed = prune(nest, at, additions, spared=spared)
+        at, additions, off = without_bent(nest, at, additions)
+        withheld += off
         done = Found(
             nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
             filters=filters,
@@ -121,6 +123,25 @@ class Search:
     def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
         self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
         return nest.screen(at, alpha=self.alpha, seed=self.seed)
+
+
+def without_bent(
+    nest: Nest, at: NestedFit, additions: Sequence[Addition]
+) -> tuple[NestedFit, list[Addition], list[Withheld]]:
+    """The fit and the additions without names that later ones, or other noise, drove to a bound, and of which no other
+    estimate is clear of none: such a name stands in for something else."""
+    off = []
+    for name in at.effects:
+        null = nest.candidates.null
+        own = [(n, e) for n, e in at.fit.parameters.items() if n.split(".")[0] == name]
+        bent = [n for n, e in own if e.at_bound and e.value != null[n]]
+        if bent and (len(bent) == len(own) or unseen(at, (name,), null) is not None):
+            off.append(Withheld(effects=(name,), reason="its estimates ran to a bound: it stands in for something else"))
+    if not off:
+        return at, list(additions), []
+    gone = {n for w in off for n in w.effects}
+    at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
+    return at, still_there(additions, at), off
 
 
 def _earned(

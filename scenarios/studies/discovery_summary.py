@@ -25,7 +25,7 @@ Row = dict[str, Any]
 VERDICTS = ("right", "group", "part", "silent", "extra", "wrong", "failed")
 FLIGHTS, RATE = 2, 100
 """Training flights of a log, and their samples per second where a row does not say."""
-KEPT = "scenarios/results/discovery_grid.jsonl.gz"
+KEPT = "scenarios/results/discovery_grid*.jsonl.gz"
 """Rows behind the documentation."""
 JUDGING = 1000
 """Seeds from here on judge; those below were used while the code was written."""
@@ -225,8 +225,9 @@ def page(rows: Sequence[Row]) -> str:
     """`discovery_results.md`, from rows of judging seeds."""
     text = [
         "# Discovery: what the grid says", "",
-        f"Written by `python -m scenarios.studies.discovery_grid --out {KEPT} --summary --docs docs`; {len(rows)} logs with",
-        f"seeds from {JUDGING} on, which nothing was tuned on. Shares with 95 % Wilson intervals.", "",
+        f"Written by `zcat {KEPT} > rows.jsonl` and `python -m scenarios.studies.discovery_grid --out rows.jsonl --summary",
+        f"--docs docs`; {len(rows)} logs with seeds from {JUDGING} on, which nothing was tuned on, by the versions that",
+        "[scenarios/results](../scenarios/results/README.md) lists. Shares with 95 % Wilson intervals.", "",
         *rates(rows), "", *clean_rates(rows), "",
         "The oracle is the model that is told the hidden effects, fitted to the same flights; where its BIC is not better",
         "by more than 10, the flights hardly show them.", "", *against_oracle(rows), "",

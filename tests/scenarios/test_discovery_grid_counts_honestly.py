@@ -124,7 +124,7 @@ def test_tables_and_figures_use_judging_seeds_only(tmp_path: Path):
     assert "b" in summary(rows)
     write_docs(rows, tmp_path)
     text = (tmp_path / "discovery_results.md").read_text()
-    assert "2 logs with\nseeds from 1000 on" in text
+    assert "2 logs with seeds from 1000 on" in text
     assert "wrong: b" not in text
     assert (tmp_path / "images" / "discovery_confusion.svg").read_text().lstrip().startswith("<?xml")
 
