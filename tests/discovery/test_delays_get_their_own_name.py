@@ -84,6 +84,7 @@ def test_late_commands_that_were_named_first_do_not_hide_a_late_imu(hidden: tupl
         assert d.value == pytest.approx(next(iter(effect.parameters().values())), abs=3e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "group", "kept"),
     [
