@@ -18,9 +18,10 @@ from greybox.discovery.candidates import TIMING
 from greybox.discovery.leftover import ENOUGH, disturbed
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit, Task
 from greybox.discovery.screen import Key, Score
-from greybox.discovery.sensor_noise import CLEAR, parts_of, suspicious, with_parts
+from greybox.discovery.sensor_noise import parts_of, suspicious, with_parts
 from greybox.discovery.veto import HALF
 from greybox.model.sensor_noise import NoisePart, white
+from greybox.statistics.evidence import CLEAR
 
 DELAYS = ("sensor_delay", "pose_delay")
 """Those of `TIMING` that nothing but a filter tells from one on slow signals."""

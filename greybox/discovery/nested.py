@@ -39,10 +39,9 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.model.sensor_noise import SensorNoise
+from greybox.statistics.blocks import BLOCK_SECONDS, block_samples
 from greybox.symbolic import CASADI, FloatArray
 
-BLOCK_SECONDS = 0.5
-"""Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
 BLOCKS = 64
 """Blocks that there should be, in short flights of a shorter length: their scores are a metric of up to six directions,
 which few blocks hardly know."""
@@ -391,7 +390,7 @@ class Nest:
                 per_flight=self.choices.get("per_flight", ()), apart=whole if late else None,
             )  # fmt: skip
             seconds = sum(r.n for r in problem.records) * problem.dt
-            block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
+            block = block_samples(problem.dt, min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)))
             value = problem.evaluate(theta, scores=block)
             tested = screen(
                 problem, value, names, alpha=alpha, draws=draws, seed=seed, samples=block,

@@ -23,10 +23,9 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.disturbance import Disturbed
 from greybox.model.identified import IdentifiedModel
 from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.statistics.evidence import CLEAR
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
-CLEAR = 10.0
-"""BIC difference above which a kind of noise stays."""
 START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
 """Sensors whose noise may be coloured: start values of correlation times [s]."""
 WITNESS = {"accelerometer": {"velocity", "position"}, "gyro": {"attitude"}}

@@ -30,7 +30,7 @@ from greybox.data import Dataset
 from greybox.discovery.candidates import TOGETHER
 from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
-from greybox.discovery.name import CLEAR, PLAIN
+from greybox.discovery.name import PLAIN
 from greybox.discovery.nested import NestedFit
 from greybox.discovery.velocity import has_velocity
 from greybox.errors import GreyboxError
@@ -40,6 +40,7 @@ from greybox.estimation.fit import Fit
 from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.statistics.evidence import CLEAR
 from greybox.symbolic import FloatArray
 
 SEEN = 2.0

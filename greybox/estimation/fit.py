@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
-from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured, scaled_inverse
+from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.identifiability import Combination, marginal_information, unidentified
 from greybox.estimation.predictors import PREDICTORS
@@ -30,6 +30,8 @@ from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import ParameterValues
+from greybox.statistics.blocks import block_samples
+from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import BoolArray, FloatArray
 
 SCHEMA = "greybox.fit/1"
@@ -289,7 +291,7 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
     # predictor that looks further ahead.
     ahead = max(getattr(problem.predictor, "horizons", (getattr(problem.predictor, "k", 1),)))
-    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
+    block = max(block_samples(problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
     precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])

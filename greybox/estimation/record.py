@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
@@ -60,7 +61,7 @@ def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:
     return out, count
 
 
-def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) -> Record:
+def make_record(engine: Engine, segment: Segment, start_seconds: float = START_SECONDS) -> Record:
     """Arrays of `segment` for the engine's model. Raises `DataError` where a command column is absent or empty."""
     dynamics = engine.dynamics
     for name in dynamics.inputs.names:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from greybox.frames import GRAVITY
 from greybox.model.effects import effect_by_name
 from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
@@ -30,7 +31,7 @@ INERTIA_UNITS = {
     1e-4: "kg cm^2",
     1e-3: "g m^2",
 }
-FORCE_UNITS = {9.80665e-3: "gram-force instead of newton", 9.80665: "kilogram-force instead of newton"}
+FORCE_UNITS = {1e-3 * GRAVITY: "gram-force instead of newton", GRAVITY: "kilogram-force instead of newton"}
 
 
 def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str | None:
