@@ -1,11 +1,11 @@
 """decide: from flights and a vehicle file to the recipe of a fit, every choice with its reason.
 
-1. What the flights show (`facts`): sensors, their fastest noise, whether clocks wander.
-2. The nested standard sets of effects (`sets`) are fitted one after the other on the first part of
-   every flight, each with disturbance states of force and torque, and foretell the part that was
-   left out. The smallest set within one standard error of the best is taken.
-3. On that set: one value per flight for the thrust scale where flights differ by more than their
-   errors; and errors half a second ahead as the criterion where that foretells better.
+1. Of two numbers of which flights show the ratio alone the better known one is held.
+2. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
+   every flight, with disturbance states of force and torque, and foretell the part left out. The
+   smallest set within one standard error of the best is taken, less the steps that nothing feels.
+3. The thrust scale gets a value per flight where flights differ by more than their errors.
+4. Errors up to half a second ahead replace the likelihood where that foretells better.
 """
 
 from __future__ import annotations
@@ -17,22 +17,24 @@ from typing import Literal
 import numpy as np
 import scipy.stats
 
-from greybox.automatic.decision import Decision, Recipe
 from greybox.automatic.facts import WANDER, Facts
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import Step, nested_sets, per_flight_parameters
 from greybox.data import Dataset, Flight
-from greybox.errors import FitError, GreyboxError
-from greybox.estimation.fit import Fit, fit, noise_of
-from greybox.estimation.options import FitOptions
+from greybox.errors import GreyboxError
+from greybox.estimation.fit import fit, noise_of
+from greybox.estimation.options import FitChoices, FitOptions
+from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.record import sample_time
+from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
+from greybox.model.effect import Effect
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 
 FIRST_PART = 0.65
-"""Share of a flight that sets are fitted on; the rest is foretold."""
+"""Share of a flight that sets are fitted to; the rest is foretold."""
 ENOUGH_SECONDS = 150.0
 """Flight time from which more only costs time when sets are compared."""
 SHORTEST = 6.0
@@ -46,61 +48,61 @@ NOTICEABLE = 0.005
 ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
 QUICK = LevenbergMarquardt(tolerance=0.05, max_iterations=25)
-"""Solver of the comparison: within a third of a standard error of the optimum."""
-
+"""Solver of the comparison: ends within a third of a standard error of the optimum."""
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
-"""Pairs that scale together without changing any prediction: force over mass, yaw torque over inertia."""
+"""Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
+THRUST = "thrust.c2"
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What the user decided; None or empty: open. Field names are those of `Recipe` and `FitOptions`."""
+    """What the user decided; None or absent: open. `choices` are fields of `FitOptions`."""
 
-    effects: tuple[str, ...] | None = None
+    effects: tuple[str | Effect, ...] | None = None
     input: Literal["command", "speed"] = "command"
     kinematic_noise: bool | None = None
     adapt: float | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
-
-    def has(self, name: str) -> bool:
-        """Whether an option of the fit was given."""
-        return name in self.options
-
-
-@dataclass(frozen=True, kw_only=True)
-class Decided:
-    """The recipe and how it came about; `best` is the last fit of the comparison (None: none succeeded)."""
-
-    recipe: Recipe
-    decisions: tuple[Decision, ...]
-    best: Fit | None
-    score: Score | None
+    choices: FitChoices = field(default_factory=lambda: FitChoices())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Candidate:
+class Candidate:
+    """A set of effects fitted to the first parts of the flights, and how it foretells the rest."""
+
     steps: tuple[Step, ...]
     fit: Fit
     score: Score
 
     @property
     def name(self) -> str:
+        """That of the last step."""
         return self.steps[-1].name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decided:
+    """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
+    flights and `left_out` the rest of them (both None where every flight is too short)."""
+
+    recipe: Recipe
+    decisions: tuple[Decision, ...]
+    candidate: Candidate | None
+    left_out: Dataset | None
 
 
 def decide(
     vehicle: Vehicle, data: Dataset, facts: Facts, given: Given, *, say: Say = lambda text: None
 ) -> Decided:
-    """The recipe for a fit of `vehicle` to `data` (already at the rate that it is fitted at).
+    """The recipe for a fit of `vehicle` to `data`, which has the rate that it is fitted at.
 
     `say` gets a line per thing done. Raises `DataError`, `ModelError` where no model can be built.
     """
     return _Decider(vehicle=vehicle, data=data, facts=facts, given=given, say=say).run()
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class _Decider:
     vehicle: Vehicle
     data: Dataset
@@ -108,268 +110,262 @@ class _Decider:
     given: Given
     say: Say
     decisions: list[Decision] = field(default_factory=list)
+    kinematic_noise: bool = False
 
     def run(self) -> Decided:
-        given, facts = self.given, self.facts
-        kinematic = given.kinematic_noise
-        if kinematic is None:
-            kinematic = facts.wander > WANDER
-            if "attitude" in facts.sensors:
-                self.note(
-                    "noise on the attitude kinematics", "yes" if kinematic else "no",
-                    f"gyro and attitude drift apart by {facts.wander:.1f} samples within a flight", "--kinematic-noise",
-                )
-        base: dict[str, object] = {}
-        if not given.has("disturbance"):
-            base["disturbance"] = ("force", "torque") if self._feels_force() else ("torque",)
-            self.note(
-                "disturbance states", ", ".join(base["disturbance"]),  # type: ignore[arg-type]
-                "gusts and what is not modelled push for a while, and no parameter shall explain them", "--disturbance",
-            )
-        if not given.has("noise"):
-            stated = set(self.vehicle.noise)
-            base["noise"] = {
-                f"noise.sensor.{n}": float(f"{v:.3g}") for n, v in facts.noise.items() if n not in stated
-            }
-            if base["noise"]:
-                self.note(
-                    "sensor noise", "starts from the fastest part of each channel, free within a factor of about ten",
-                    "third differences of the measured channels", "--noise, --hold-noise",
-                )
-        base |= dict(given.options)
-        base = self._held(base)
-        if given.effects is not None:
-            steps: tuple[Step, ...] = (Step(name="as asked", effects=given.effects),)
-            chosen, best = self._one_set(steps, kinematic, base)
+        self._kinematics()
+        options = self._held(self._noise(self._disturbance(FitOptions.of(None, self.given.choices))))
+        parts = self._parts()
+        if self.given.effects is not None:
+            steps: tuple[Step, ...] = (Step(name="the effects asked for", effects=self.given.effects),)
         else:
-            chosen, best = self._nested(kinematic, base)
-        options = FitOptions.of(None, base)  # type: ignore[arg-type]
-        options = self._thrust_per_flight(options, best)
-        per_flight = [n for n in per_flight_parameters(chosen, self.vehicle) if n not in options.per_flight]
-        if not given.has("per_flight"):
-            options = options.but(per_flight=(*options.per_flight, *per_flight))
-        effects = tuple(e for s in chosen for e in s.effects)
-        recipe = Recipe(effects=effects, input=given.input, kinematic_noise=kinematic, options=options)
-        recipe, score = self._criterion(recipe, best)
-        recipe = replace(recipe, adapt=self._adapt(recipe))
-        return Decided(recipe=recipe, decisions=tuple(self.decisions), best=best.fit if best else None, score=score)
-
-    def _held(self, base: dict[str, object]) -> dict[str, object]:
-        """Of two numbers of which the flights show the ratio alone, the one that is known better."""
-        if self.given.has("fixed") or self.given.has("free"):
-            return base
-        priors = {d.name: d for d in core_parameters(self.vehicle)}
-        held = []
-        for one, other, motion in RATIOS:
-            a, b = priors[one], priors[other]
-            if not (a.sigma > 0 and b.sigma > 0 and a.nominal and b.nominal):
-                continue
-            better, worse = sorted((a, b), key=lambda d: d.sigma / abs(d.nominal))
-            held.append(better.name)
-            self.note(
-                better.name, f"held at {better.nominal:.4g} {better.unit}",
-                f"{motion} shows only its ratio to {worse.name}, which is known less well; its own uncertainty "
-                f"({100 * better.sigma / abs(better.nominal):.2g} %) is carried into the errors", "--fixed, --free",
+            steps = nested_sets(self.vehicle, self.facts)
+        if parts is None:
+            self._note(
+                "effects", _listed(steps[:1]), f"every flight is shorter than {SHORTEST:g} s: "
+                "no piece can be left out to compare larger sets", "--effects",
             )
-        return base | {"fixed": tuple(held)} if held else base
+            return self._decided(steps[:1], options, None, None)
+        chosen = self._smallest_good(steps, options, parts)
+        if chosen is None:
+            return self._decided(steps[:1], options, None, None)
+        options, chosen = self._thrust_per_flight(options, chosen, parts)
+        options, chosen = self._criterion(options, chosen, parts)
+        return self._decided(chosen.steps, options, chosen, parts[1])
 
-    def note(self, about: str, choice: str, reason: str, option: str) -> None:
+    def _decided(
+        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
+    ) -> Decided:
+        recipe = Recipe(
+            effects=_effects(steps), input=self.given.input, kinematic_noise=self.kinematic_noise,
+            options=self._with_flight_values(options, steps),
+        )
+        return Decided(
+            recipe=replace(recipe, adapt=self._adapt(recipe)), decisions=tuple(self.decisions),
+            candidate=candidate, left_out=rest,
+        )
+
+    def _note(self, about: str, choice: str, reason: str, option: str) -> None:
         self.decisions.append(Decision(about=about, choice=choice, reason=reason, option=option))
         self.say(f"  {about}: {choice} ({reason})")
 
-    def _feels_force(self) -> bool:
-        return bool(self.facts.sensors & {"position", "velocity", "accelerometer"})
+    # ------------------------------------------------------------ from facts
 
-    # ------------------------------------------------------------ pieces
-
-    def pieces(self) -> tuple[Dataset, Dataset] | None:
-        """(first parts, parts left out) of enough flights; None where all flights are too short."""
-        long = [f for f in self.data if f.duration >= SHORTEST]
-        if not long:
-            return None
-        total = sum(f.duration for f in long)
-        every = max(1, int(np.ceil(total / ENOUGH_SECONDS)))
-        some = long[::every]
-        room = ENOUGH_SECONDS / len(some)
-        cut = [_shortened(f, room) for f in some]
-        return Dataset(flights=tuple(cut)).split_by_time(FIRST_PART)
-
-    # ------------------------------------------------------------ sets of effects
-
-    def model(self, effects: tuple[str, ...], kinematic: bool) -> PhysicsModel:
-        return build_model(
-            self.vehicle, self.data.channels, effects, input=self.given.input,
-            sample_time=sample_time(self.data), noncausal=self.data.noncausal, kinematic_noise=kinematic,
-        )
-
-    def _try(
-        self, steps: tuple[Step, ...], kinematic: bool, options: FitOptions, before: _Candidate | None,
-        parts: tuple[Dataset, Dataset],
-    ) -> _Candidate | None:
-        effects = tuple(e for s in steps for e in s.effects)
-        own = tuple(n for n in per_flight_parameters(steps, self.vehicle) if n not in options.per_flight)
-        options = options.but(per_flight=(*options.per_flight, *own))
-        if before is not None:
-            start = {n: e.value for n, e in before.fit.parameters.items() if n not in options.values}
-            options = options.but(
-                values={**options.values, **start}, noise=noise_of(before.fit.model), initialisation="nominal"
+    def _kinematics(self) -> None:
+        if self.given.kinematic_noise is not None:
+            self.kinematic_noise = self.given.kinematic_noise
+        elif "attitude" in self.facts.sensors:
+            self.kinematic_noise = self.facts.wander > WANDER
+            self._note(
+                "noise on the attitude kinematics", "yes" if self.kinematic_noise else "no",
+                f"gyro and attitude drift apart by {self.facts.wander:.1f} samples within a flight",
+                "--kinematic-noise",
             )
-        try:
-            found = fit(self.model(effects, kinematic), parts[0], options)
-            return _Candidate(steps=steps, fit=found, score=foretell(found.model, parts[1]))
-        except GreyboxError as error:
-            self.say(f"  with {steps[-1].name}: {error}")
-            return None
 
-    def _one_set(
-        self, steps: tuple[Step, ...], kinematic: bool, base: Mapping[str, object]
-    ) -> tuple[tuple[Step, ...], _Candidate | None]:
-        parts = self.pieces()
-        if parts is None:
-            return steps, None
-        options = FitOptions.of(None, base).but(solver=QUICK, predictor="innovation", initialisation="equation-error")  # type: ignore[arg-type]
-        return steps, self._try(steps, kinematic, options, None, parts)
+    def _disturbance(self, options: FitOptions) -> FitOptions:
+        if "disturbance" in self.given.choices:
+            return options
+        felt = bool(self.facts.sensors & {"position", "velocity", "accelerometer"})
+        groups = ("force", "torque") if felt else ("torque",)
+        self._note(
+            "disturbance states", ", ".join(groups),
+            "gusts and what is not modelled push for a while; no parameter shall explain them",
+            "--disturbance",
+        )
+        return options.but(disturbance=groups)
 
-    def _nested(
-        self, kinematic: bool, base: Mapping[str, object]
-    ) -> tuple[tuple[Step, ...], _Candidate | None]:
-        steps = nested_sets(self.vehicle, self.facts)
-        parts = self.pieces()
-        if parts is None:
-            self.note(
-                "effects", ", ".join(steps[0].effects),
-                f"every flight is shorter than {SHORTEST:g} s, so that no piece can be left out to compare sets",
-                "--effects",
+    def _noise(self, options: FitOptions) -> FitOptions:
+        if "noise" in self.given.choices:
+            return options
+        levels = {
+            f"noise.sensor.{component}": float(f"{level:.3g}")
+            for (sensor, component), level in self.facts.noise.items()
+            if sensor not in self.vehicle.noise
+        }
+        if not levels:
+            return options
+        self._note(
+            "sensor noise", "starts from the fastest part of each channel and is estimated",
+            "the vehicle file states none; third differences of the channels", "--noise",
+        )
+        return options.but(noise=levels)
+
+    def _held(self, options: FitOptions) -> FitOptions:
+        """Of two numbers of which the flights show the ratio alone, the one that is known better."""
+        if "fixed" in self.given.choices or "free" in self.given.choices:
+            return options
+        declared = {d.name: d for d in core_parameters(self.vehicle)}
+        held = []
+        for pair in RATIOS:
+            both = [declared[n] for n in pair[:2]]
+            if not all(0 < d.sigma < np.inf and d.nominal for d in both):
+                continue
+            better, worse = sorted(both, key=lambda d: d.sigma / abs(d.nominal))
+            held.append(better.name)
+            self._note(
+                better.name, f"held at {better.nominal:.4g} {better.unit}",
+                f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
+                f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
+                "--fixed, --considered",
             )
-            return steps[:1], None
-        options = FitOptions.of(None, base).but(solver=QUICK, predictor="innovation", initialisation="equation-error")  # type: ignore[arg-type]
-        tried: list[_Candidate] = []
-        for i in range(1, len(steps) + 1):
-            got = self._try(steps[:i], kinematic, options, tried[-1] if tried else None, parts)
-            if got is not None:
-                tried.append(got)
-                self.say(f"  with {got.name}: left-out pieces {got.score.mean:.4f} of holding the last value")
-        if not tried:
-            return steps[:1], None
-        best = min(tried, key=lambda c: c.score.mean)
-        chosen = best
-        for candidate in tried:  # smallest first
-            gain, error = best.score.better_by(candidate.score)
-            if gain <= error:
-                chosen = candidate
-                break
-        chosen_steps = self._felt_steps(chosen)
-        listed = "; ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
-        self.note(
-            "effects", ", ".join(e for s in chosen_steps for e in s.effects),
-            f"smallest set within one standard error of the best on pieces left out; squared error ahead over that of "
-            f"holding the last value, adding step by step: {listed}",
-            "--effects, --per-flight",
-        )
-        return chosen_steps, chosen
-
-    def _felt_steps(self, chosen: _Candidate) -> tuple[Step, ...]:
-        """The steps without those (after the base) whose every parameter is nothing within its error."""
-        kept = []
-        for step in chosen.steps:
-            own = [e for n, e in chosen.fit.parameters.items() if n.split(".")[0] in step.effects]
-            felt = [
-                abs(v) > FELT * s or not np.isfinite(s)
-                for e in own
-                for v, s in (e.per_flight.values() if e.per_flight else ((e.value, e.std),))
-            ]
-            if step is chosen.steps[0] or any(felt):
-                kept.append(step)
-        return tuple(kept)
-
-    # ------------------------------------------------------------ what differs between flights
-
-    def _thrust_per_flight(self, options: FitOptions, best: _Candidate | None) -> FitOptions:
-        name = "thrust.c2"
-        if self.given.has("per_flight") or best is None or len(self.data) < 2 or name not in best.fit.parameters:
-            return options
-        parts = self.pieces()
-        if parts is None or len(parts[0]) < 2:
-            return options
-        again = self._try(
-            best.steps, bool(best.fit.model.physics.kinematic_noise), options.but(
-                per_flight=(name,), solver=QUICK, predictor="innovation", initialisation="equation-error"
-            ), best, parts,
-        )
-        if again is None:
-            return options
-        each = np.array(list(again.fit.parameters[name].per_flight.values()))
-        values, errors = each[:, 0], np.maximum(each[:, 1], 1e-12)
-        if not np.isfinite(each).all():
-            return options
-        weights = errors**-2
-        middle = float((weights * values).sum() / weights.sum())
-        chi2 = float((weights * (values - middle) ** 2).sum())
-        chance = float(scipy.stats.chi2.sf(chi2, len(values) - 1))
-        spread = float(values.std(ddof=1) / abs(middle))
-        differ = chance < CLEAR and spread > NOTICEABLE
-        gain, error = again.score.better_by(best.score)
-        differ = differ and gain > -error
-        self.note(
-            "thrust scale", "one value per flight" if differ else "one value for all flights",
-            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})", "--per-flight, --shared",
-        )
-        return options.but(per_flight=(name,)) if differ else options
-
-    # ------------------------------------------------------------ criterion
-
-    def _criterion(self, recipe: Recipe, best: _Candidate | None) -> tuple[Recipe, Score | None]:
-        """Multi-step errors in place of the likelihood where that foretells better by a standard error."""
-        if self.given.has("predictor") or best is None:
-            return recipe, best.score if best else None
-        parts = self.pieces()
-        assert parts is not None
-        options = recipe.options.but(solver=QUICK)
-        start = {n: e.value for n, e in best.fit.parameters.items() if n not in options.values}
-        try:
-            model = self.model(recipe.effects, recipe.kinematic_noise)
-            one = fit(
-                model, parts[0],
-                options.but(values={**options.values, **start}, noise=noise_of(best.fit.model), initialisation="nominal"),
-            )
-            plain = foretell(one.model, parts[1])
-            start = {n: e.value for n, e in one.parameters.items() if n not in recipe.options.values}
-            many = fit(
-                model, parts[0],
-                options.but(
-                    values={**recipe.options.values, **start}, noise=noise_of(one.model), predictor="multi-step",
-                    initialisation="nominal",
-                ),
-            )
-            ahead = foretell(many.model, parts[1])
-        except (FitError, GreyboxError) as error:
-            self.say(f"  multi-step: {error}")
-            return recipe, best.score
-        gain, error = ahead.better_by(plain)
-        better = gain > error
-        self.note(
-            "criterion", "errors up to half a second ahead" if better else "one-step likelihood",
-            f"left-out pieces {ahead.mean:.3f} against {plain.mean:.3f} +- {error:.3f}", "--predictor",
-        )
-        if better:
-            options = recipe.options.but(predictor="multi-step", initialisation="innovation")
-            return replace(recipe, options=options), ahead
-        return recipe, plain
+        return options.but(fixed=tuple(held), considered=tuple(held))
 
     def _adapt(self, recipe: Recipe) -> float | None:
         if self.given.adapt is not None:
             return self.given.adapt
-        model = self.model(recipe.effects, recipe.kinematic_noise)
+        model = self._model(recipe.effects)
         own = {d.name for d in model.parameters if d.scope == "flight"} | set(recipe.options.per_flight)
         own -= set(recipe.options.shared) | set(recipe.options.fixed)
         if not own:
             return None
-        self.note(
-            "adaptation", f"first {ADAPT:g} s of a new flight", f"{len(own)} parameters have a value per flight", "--adapt"
+        self._note(
+            "a new flight", f"adapts on its first {ADAPT:g} s",
+            f"{len(own)} parameters have one value per flight", "--adapt",
         )
         return ADAPT
 
+    # ------------------------------------------------------------ comparing on pieces left out
 
-def _shortened(flight: Flight, seconds: float) -> Flight:
+    def _parts(self) -> tuple[Dataset, Dataset] | None:
+        """(first parts, the rest) of enough flights; None where all flights are too short."""
+        long = [f for f in self.data if f.duration >= SHORTEST]
+        if not long:
+            return None
+        every = max(1, int(np.ceil(sum(f.duration for f in long) / ENOUGH_SECONDS)))
+        some = long[::every]
+        cut = tuple(_first_seconds(f, ENOUGH_SECONDS / len(some)) for f in some)
+        return Dataset(flights=cut).split_by_time(FIRST_PART)
+
+    def _model(self, effects: tuple[str | Effect, ...]) -> PhysicsModel:
+        return build_model(
+            self.vehicle, self.data.channels, effects, input=self.given.input,
+            sample_time=sample_time(self.data), noncausal=self.data.noncausal,
+            kinematic_noise=self.kinematic_noise,
+        )
+
+    def _with_flight_values(self, options: FitOptions, steps: tuple[Step, ...]) -> FitOptions:
+        if "per_flight" in self.given.choices:
+            return options
+        own = per_flight_parameters(steps, self.vehicle)
+        return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
+
+    def _try(
+        self, steps: tuple[Step, ...], options: FitOptions, before: Candidate | None,
+        parts: tuple[Dataset, Dataset],
+    ) -> Candidate | None:
+        """`steps` fitted and judged, from where `before` ended; None where that is not possible."""
+        options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
+        if before is not None:
+            start = {n: e.value for n, e in before.fit.parameters.items()}
+            options = options.but(
+                values={**start, **options.values}, noise=noise_of(before.fit.model),
+                initialisation="nominal",
+            )
+        try:
+            found = fit(self._model(_effects(steps)), parts[0], options)
+            return Candidate(steps=steps, fit=found, score=foretell(found.model, parts[1]))
+        except GreyboxError as error:
+            self.say(f"  {steps[-1].name}: {error}")
+            return None
+
+    def _smallest_good(
+        self, steps: tuple[Step, ...], options: FitOptions, parts: tuple[Dataset, Dataset]
+    ) -> Candidate | None:
+        quick = options if "predictor" not in self.given.choices else options.but(
+            predictor="innovation", initialisation="equation-error"
+        )
+        tried: list[Candidate] = []
+        for i in range(1, len(steps) + 1):
+            got = self._try(steps[:i], quick, tried[-1] if tried else None, parts)
+            if got is not None:
+                tried.append(got)
+                self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
+        if not tried:
+            return None
+        best = min(tried, key=lambda c: c.score.mean)
+        chosen = next(c for c in tried if np.less_equal(*best.score.better_by(c.score)))
+        kept = _felt_steps(chosen)
+        if kept != chosen.steps:
+            chosen = self._try(kept, quick, chosen, parts) or chosen
+        listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
+        if self.given.effects is None:
+            self._note(
+                "effects", _listed(chosen.steps), "the smallest set within one standard error of the "
+                "best on pieces left out; squared error ahead over that of holding the last value, "
+                f"step by step: {listed}", "--effects, --per-flight",
+            )
+        return chosen
+
+    def _thrust_per_flight(
+        self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        open_question = "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        if not open_question or len(parts[0]) < 2 or THRUST not in chosen.fit.parameters:
+            return options, chosen
+        again = self._try(chosen.steps, options.but(per_flight=(THRUST,)), chosen, parts)
+        if again is None:
+            return options, chosen
+        each = np.array(list(again.fit.parameters[THRUST].per_flight.values()))
+        chance, spread = _differ(each[:, 0], each[:, 1])
+        gain, error = again.score.better_by(chosen.score)
+        differ = chance < CLEAR and spread > NOTICEABLE and gain > -error
+        self._note(
+            "thrust scale", "one value per flight" if differ else "one value for all flights",
+            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})", "--per-flight, --shared",
+        )
+        return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
+
+    def _criterion(
+        self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        """Multi-step errors in place of the likelihood where that foretells better by its error."""
+        if "predictor" in self.given.choices:
+            return options, self._try(chosen.steps, options, chosen, parts) or chosen
+        ahead = self._try(chosen.steps, options.but(predictor="multi-step"), chosen, parts)
+        if ahead is None:
+            return options, chosen
+        gain, error = ahead.score.better_by(chosen.score)
+        better = gain > error
+        self._note(
+            "criterion", "errors up to half a second ahead" if better else "likelihood one step ahead",
+            f"pieces left out: {ahead.score.mean:.3f} against {chosen.score.mean:.3f}, the difference "
+            f"+- {error:.3f}", "--predictor",
+        )
+        if better:
+            return options.but(predictor="multi-step", initialisation="innovation"), ahead
+        return options, chosen
+
+
+def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
+    return tuple(e for s in steps for e in s.effects)
+
+
+def _listed(steps: tuple[Step, ...]) -> str:
+    return ", ".join(e if isinstance(e, str) else e.name for e in _effects(steps)) or "none"
+
+
+def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
+    """The steps without those after the first whose every parameter is nothing within its error."""
+    kept = []
+    for step in candidate.steps:
+        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in step.effects]
+        numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
+        felt = any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
+        if felt or step is candidate.steps[0]:
+            kept.append(step)
+    return tuple(kept)
+
+
+def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
+    """(probability that equal values scatter so, relative spread) of estimates with errors."""
+    if not (np.isfinite(values).all() and np.isfinite(errors).all() and (errors > 0).all()):
+        return 1.0, 0.0
+    weights = errors**-2
+    middle = float((weights * values).sum() / weights.sum())
+    chi2 = float((weights * (values - middle) ** 2).sum())
+    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(values.std(ddof=1) / abs(middle))
+
+
+def _first_seconds(flight: Flight, seconds: float) -> Flight:
     begin = float(flight.segments[0].t[0])
     return flight.between(begin, begin + seconds) or flight

@@ -26,12 +26,12 @@ PLENTY = 5.0
 @dataclass(frozen=True, kw_only=True)
 class Facts:
     """Facts of a set of flights. `sensors` are those whose columns are all there (causal ones only)
-    and `noise` the level of each of their columns' fastest part, by sensor, in the unit of the
-    innovation. `wander` [samples] is how far gyro and attitude drift apart within a flight (0 where
+    and `noise` the level of the fastest part of each of their innovation components, by sensor and
+    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a flight (0 where
     the log has no attitude), `seconds` the time flown."""
 
     sensors: frozenset[str]
-    noise: Mapping[str, float]
+    noise: Mapping[tuple[str, str], float]
     wander: float
     seconds: float
     flights: int
@@ -53,16 +53,17 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
     """The facts of `data`, with what the data-fault checks measured in `report`."""
     columns = set(data.channels) - set(data.noncausal)
     sensors = [s for s in SENSORS if columns.issuperset(x.name for x in s.signals(vehicle))]
-    noise = {}
+    noise: dict[tuple[str, str], float] = {}
     for sensor in sensors:
-        levels = [
-            _fastest([segment.column(x.name) for f in data for segment in f.segments])
-            for x in sensor.signals(vehicle)
-        ]
-        # A rotation vector is twice the vector part of its quaternion.
-        level = 2.0 * float(np.mean(levels[1:])) if sensor.name == "attitude" else float(np.mean(levels))
-        if np.isfinite(level) and level > 0:
-            noise[sensor.name] = level
+        columns_of = [x.name for x in sensor.signals(vehicle)]
+        components = [x.name for x in sensor.innovation_signals(vehicle)]
+        levels = [_fastest([s.column(c) for f in data for s in f.segments]) for c in columns_of]
+        if len(levels) == len(components) + 1:
+            # A rotation vector is twice the vector part of its quaternion, scalar first.
+            levels = [2.0 * v for v in levels[1:]]
+        for component, level in zip(components, levels, strict=True):
+            if np.isfinite(level) and level > 0:
+                noise[sensor.name, component] = level
     offsets = [
         f.evidence["high_samples"] - f.evidence["low_samples"]
         for f in report.of("alignment")

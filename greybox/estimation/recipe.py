@@ -1,12 +1,14 @@
-"""Decision and Recipe: what the automatic fit chose, why, and the whole as options that repeat it."""
+"""Decision and Recipe: what was chosen for a fit, why, and the whole as options that repeat it."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from greybox.estimation.options import FitOptions
+from greybox.model.effect import Effect
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +38,17 @@ class Recipe:
     parameters are taken (None: no parameter has a value per flight).
     """
 
-    effects: tuple[str, ...] = ()
-    input: str = "command"
+    effects: tuple[str | Effect, ...] = ()
+    input: Literal["command", "speed"] = "command"
     kinematic_noise: bool = False
     rate: float | None = None
     adapt: float | None = None
     options: FitOptions = field(default_factory=FitOptions)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effects; one from a user's file stands for its name."""
+        return tuple(e if isinstance(e, str) else e.name for e in self.effects)
 
     def arguments(self) -> list[str]:
         """The options of `greybox fit` that give this fit, --manual first: nothing is left open."""
@@ -49,14 +56,14 @@ class Recipe:
         if self.rate is not None:
             words += ["--rate", repr(self.rate)]
         if self.effects:
-            words += ["--effects", ",".join(self.effects)]
+            words += ["--effects", ",".join(self.effect_names)]
         if self.input != "command":
             words += ["--input", self.input]
         if self.kinematic_noise:
             words.append("--kinematic-noise")
         if self.adapt is not None:
             words += ["--adapt", f"{self.adapt:g}"]
-        return words + self.options.arguments()
+        return words + self.options.command_line()
 
     def command_line(self, vehicle: str, train: Iterable[str], test: Iterable[str] = ()) -> str:
         """The explicit command of this fit."""
@@ -68,7 +75,7 @@ class Recipe:
     def to_python(self) -> str:
         """The same as Python source, for `vehicle` and `data` as read."""
         options = ", ".join(f"{k}={v!r}" for k, v in self.options.to_dict().items())
-        build = f"gb.build_model(vehicle, data.channels, {list(self.effects)!r}, sample_time=data.flights[0].dt"
+        build = f"gb.build_model(vehicle, data.channels, {list(self.effect_names)!r}, sample_time=data.flights[0].dt"
         build += ", noncausal=data.noncausal"
         if self.input != "command":
             build += f", input={self.input!r}"
@@ -79,7 +86,7 @@ class Recipe:
     def to_dict(self) -> Mapping[str, object]:
         """Plain values for fit.json."""
         return {
-            "effects": list(self.effects),
+            "effects": list(self.effect_names),
             "input": self.input,
             "kinematic_noise": self.kinematic_noise,
             "rate": self.rate,
