@@ -10,4 +10,14 @@ from greybox.model.sensors.position import Position
 from greybox.model.sensors.rotor_speed import RotorSpeed
 from greybox.model.sensors.velocity import Velocity
 
-SENSORS: tuple[Sensor, ...] = (Position(), Velocity(), Attitude(), Gyro(), Accelerometer(), RotorSpeed())
+SENSORS: tuple[Sensor, ...] = (
+    Position(),
+    Velocity(),
+    Attitude(),
+    Gyro(),
+    Accelerometer(),
+    RotorSpeed(),
+)
+
+USUAL: tuple[Sensor, ...] = tuple(s for s in SENSORS if s.usual)
+"""Those that a model has which nobody gave any."""
