@@ -2,7 +2,8 @@
 a clock.
 
 The states of a model are those of `STATE_CLOCK`: its sensors are fast, and are then exact however
-late they are."""
+late they are.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ class Clock:
     never late.
 
     `reach` [s] is how far back commands are looked up for it; before that the oldest of them
-    stands."""
+    stands.
+    """
 
     name: str
     delay: str | None

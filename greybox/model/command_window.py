@@ -19,7 +19,8 @@ class CommandWindow:
     the sample t_k.
 
     The first `rotors` rows are commands, which may be late; the rest (a voltage) is taken as that
-    of t_k."""
+    of t_k.
+    """
 
     rotors: int
     past: int
@@ -30,7 +31,8 @@ class CommandWindow:
         t_k.
 
         share in [0, 1] is how far that instant lies from the newer towards the older one. Branches
-        are closed to the left, so that the slope at r = 0 is the one-sided one."""
+        are closed to the left, so that the slope at r = 0 is the one-sided one.
+        """
         past, future = self.past, self.future
         older: Expr = 0.0
         newer: Expr = 0.0
@@ -48,7 +50,8 @@ class CommandWindow:
         t_k+1).
 
         Exact for a held record. Of a record that runs linearly the value at the middle of the step
-        is taken as both."""
+        is taken as both.
+        """
         past, future = self.past, self.future
         if past == 0 and future == 0:
             return window, window, 0.0

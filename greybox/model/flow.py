@@ -56,7 +56,8 @@ class Remembered:
     `size` [`unit`] is typical of it: the spread of what it may be, around zero, when a flight
     begins. `drift` [`unit`/sqrt(s)], where it is above zero, lets white noise push the state: by so
     much in the first second, as one standard deviation. That is where a fit begins, which estimates
-    the level as it does all noise."""
+    the level as it does all noise.
+    """
 
     name: str
     unit: str

@@ -10,7 +10,8 @@ flight starts.
 Error state: position and velocity errors in body axes (p = p_hat + R_hat dp), attitude error q =
 q_hat * exp(dtheta/2). In these coordinates the linearisation depends on neither position nor
 heading, so that one stationary gain serves a whole flight (Bonnabel, Martin and Salaun 2009,
-Invariant extended Kalman filter: theory and application, CDC)."""
+Invariant extended Kalman filter: theory and application, CDC).
+"""
 
 from __future__ import annotations
 
@@ -89,7 +90,8 @@ class PhysicsModel:
     attitude and gyro drift against each other in time, so that the one is not the integral of the
     other. `sample_time` [s] fixes how many earlier commands a step sees (for a delay). States that
     no sensor can feel, directly or through other states, are left out (an IMU-only log has no
-    position). Raises `ModelError`, `UnknownNameError`."""
+    position). Raises `ModelError`, `UnknownNameError`.
+    """
 
     vehicle: Vehicle
     effects: tuple[Effect, ...] = ()
@@ -758,7 +760,8 @@ def build_model(
     smoothed with later samples and must not serve as measurements; `kinematic_noise` is that of
     `PhysicsModel`. An effect object (`load_effects`) also stands for its name in the vehicle file.
     `sensors` are further ones, of the user's own, which always take part: the log must have their
-    columns. Raises `ModelError`, `UnknownNameError`."""
+    columns. Raises `ModelError`, `UnknownNameError`.
+    """
     usable = set(columns) - set(noncausal)
     asked = tuple(effects)
     given = {e.name: e for e in asked if isinstance(e, Effect)}

@@ -35,7 +35,8 @@ class RigidBody:
     """The body of a model and what its rotors and effects do to it.
 
     States come as blocks: position [m], velocity [m/s] (world), attitude (w, x, y, z), rate [rad/s]
-    (body), memory. Noise w has the components of `PUSHES`, then what pushes drifting memories."""
+    (body), memory. Noise w has the components of `PUSHES`, then what pushes drifting memories.
+    """
 
     staged: StagedEffects
     rotors: Rotors

@@ -1,7 +1,8 @@
 """Rotors: from commands to normalised speeds nu, with a lag where an effect brings one.
 
 u -> command stage -> rotor stage -> goal nu_ss;   d nu / dt = (nu_ss - nu) / tau,  nu = nu_ss
-without a lag"""
+without a lag
+"""
 
 from __future__ import annotations
 
@@ -97,7 +98,8 @@ def rotor_path(
     against dt and wherever the goal changes; a sampled exponential would give a rotor that has long
     settled a sixth of its old speed. In the moments tau stands before every exponential, so that
     tau = 0 is the rotor without lag to the last digit and the slope there is the true one, -(goal -
-    nu)/dt in the mean."""
+    nu)/dt in the mean.
+    """
     before, after = switch / dt, 1 - switch / dt
     start_a, tau_a = nu - first, lag(nu - first)
     left_a = ca.exp(-switch / positive(tau_a))

@@ -3,7 +3,8 @@
 
 It declares the columns that it fills and its ideal reading, the innovation that belongs to it, its
 noise, the instant that it shows (`greybox.model.clock`), what its first readings say of the start
-of a flight, and a bias where it drifts."""
+of a flight, and a bias where it drifts.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ class Start:
 
     `value` has the size of the block (NaN: says nothing of this component), `spread` one standard
     deviation per error component, of which an attitude has three. Of several sensors the one with
-    the smaller spread counts."""
+    the smaller spread counts.
+    """
 
     block: str
     value: Sequence[float] | FloatArray
@@ -41,10 +43,14 @@ class Sensor(ABC):
 
     `name` is its key in [noise] of a vehicle file, `group` what its channels are called in tables.
     It shows the instant of its `clock`, or of `delay` seconds before. Those that are `usual` are in
-    a model that nobody gave any. `noisiest` is more noise than such a sensor has, [innovation
-    unit], and `noisiest_hint` the unit that was meant. `colour_time` [s] is where a search for
-    coloured noise begins, None where none is looked for; colour is told from forces only where one
-    of the sensors `witnesses` sees the motion too (empty: always)."""
+    a model that nobody gave any.
+    `noisiest` is more noise than such a sensor has [innovation unit], `noisiest_hint` the unit that
+    was meant. `shows` is the state block that it measures as it is, None where it measures anything
+    else. `mistaken_for` are the pushes (force, torque) that an error of its own looks like.
+    `colour_time` [s] is where a search for coloured noise begins, None where none is looked for;
+    colour is told from forces only where one of the sensors `witnesses` sees the motion too (empty:
+    always).
+    """
 
     name: ClassVar[str]
     group: ClassVar[str]
@@ -54,6 +60,8 @@ class Sensor(ABC):
     usual: ClassVar[bool] = True
     noisiest: ClassVar[float] = math.inf
     noisiest_hint: ClassVar[str] = ""
+    shows: ClassVar[str | None] = None
+    mistaken_for: ClassVar[tuple[str, ...]] = ()
     colour_time: ClassVar[float | None] = None
     witnesses: ClassVar[frozenset[str]] = frozenset()
 
@@ -78,7 +86,8 @@ class Sensor(ABC):
         """e = y - y_hat, in body axes where the sensor measures a world vector (see the members).
 
         `rotation` is the predicted attitude, body to world. A filter has one gain for all headings:
-        an innovation should depend on its error alike at all of them."""
+        an innovation should depend on its error alike at all of them.
+        """
         return y - y_hat
 
     def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:

@@ -43,7 +43,8 @@ class Passage:
     it).
 
     `mean` is the mean command on the way, which moves velocities; `early` the mean weighted by the
-    way that remains, which moves positions; `end` the command at the other instant."""
+    way that remains, which moves positions; `end` the command at the other instant.
+    """
 
     age: Expr
     mean: Expr
@@ -181,7 +182,8 @@ class SensorClocks:
         `nu` at its start.
 
         Bodies move by the midpoint rule, rotors exactly. The noise of the coming step acts ahead of
-        the states alone."""
+        the states alone.
+        """
         rotors, back = self.body.rotors, way.age
         w = ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))
         u, goal, soon = way.mean, rotors.goal(way.mean, values), rotors.goal(way.early, values)

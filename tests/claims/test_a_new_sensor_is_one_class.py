@@ -10,10 +10,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox import Fit, build_model, dataset_from_arrays, fit
+from greybox import Fit, build_model, dataset_from_arrays, fit, read_log
 from greybox.data import Dataset
 from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
+from greybox.estimation.record import make_record
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
@@ -148,6 +150,22 @@ def test_a_model_file_is_read_with_the_sensors_that_it_names(tmp_path: Path) -> 
     np.testing.assert_array_equal(again.process_noise, model.process_noise)
     with pytest.raises(UnknownNameError, match="barometer"):
         IdentifiedModel.load(path)
+
+
+def test_its_columns_come_out_of_a_log_as_they_are(tmp_path: Path) -> None:
+    """A log with columns that greybox does not know: they are kept, and what a sensor of one's own reads."""
+    data, true = flight()
+    segment = data.segments[0]
+    names = [n for n in segment.channels if not n.startswith("v")]
+    table = np.column_stack([segment.t, *(segment.channels[n] for n in names)])[:200]
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=",".join(["t", *names]), comments="", fmt="%.12g")
+    log = read_log(tmp_path / "log.csv", vehicle())
+    assert not {"baro", "mx"} & set(log.channels)
+    model = build_model(vehicle(), log.channels, sensors=[Barometer(), Magnetometer()])
+    record = make_record(engine_for(model, ()), log.segments[0])
+    np.testing.assert_allclose(record.outputs[:, model.outputs["baro"]], table[:, 1 + names.index("baro")], rtol=1e-9)
+    at = model.states["attitude.w"]
+    assert abs(numeric("difference", record.x0[None, at : at + 4], true["q"][:1])[0, 2]) < 0.6
 
 
 def test_the_vehicle_file_states_its_noise_by_name() -> None:

@@ -21,3 +21,8 @@ SENSORS: tuple[Sensor, ...] = (
 
 USUAL: tuple[Sensor, ...] = tuple(s for s in SENSORS if s.usual)
 """Those that a model has which nobody gave any."""
+
+
+def on_clock(clock: str) -> tuple[str, ...]:
+    """Names of the catalogue's sensors that show the instant of a clock (`greybox.model.clock`)."""
+    return tuple(s.name for s in SENSORS if s.clock == clock)

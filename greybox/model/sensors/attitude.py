@@ -23,6 +23,7 @@ class Attitude(Sensor):
     clock = "pose"
     noisiest = 0.2
     noisiest_hint = "rad, not degrees"
+    shows = "attitude"
     colour_time = 0.2
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:

@@ -21,6 +21,7 @@ class Position(Sensor):
     clock = "pose"
     noisiest = 1.0
     noisiest_hint = "m, not mm"
+    shows = "position"
     colour_time = 0.2
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:

@@ -20,6 +20,7 @@ class Velocity(Sensor):
     clock = "pose"
     noisiest = 2.0
     noisiest_hint = "m/s, not mm/s"
+    shows = "velocity"
     colour_time = 0.2
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
