@@ -23,12 +23,13 @@ from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.disturbance import Disturbed
 from greybox.model.identified import IdentifiedModel
 from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.model.sensors import SENSORS, on_clock
 from greybox.statistics.evidence import CLEAR
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
-START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
+START = {s.name: s.colour_time for s in SENSORS if s.colour_time is not None}
 """Sensors whose noise may be coloured: start values of correlation times [s]."""
-WITNESS = {"accelerometer": {"velocity", "position"}, "gyro": {"attitude"}}
+WITNESS = {s.name: s.witnesses for s in SENSORS if s.witnesses}
 """Sensors whose colour cannot be told from force or torque unless one of these sees the motion too."""
 PREDICTABLE = 0.005
 """Share of an innovation's variance that its own past must explain for its sensor to be suspected."""
@@ -195,8 +196,8 @@ def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]
                         numbers["frequency"] = float(values[f"{part.name}.f"])
                 out.append(_entry(c, part.kind, numbers, gains.get(part.name)))
     for effect, late in (
-        ("pose_delay", ("position", "velocity", "attitude")),
-        ("sensor_delay", ("gyro", "accelerometer")),
+        ("pose_delay", on_clock("pose")),
+        ("sensor_delay", on_clock("imu")),
     ):
         if effect not in {e.name for e in physics.effects}:  # type: ignore[attr-defined]
             continue

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
@@ -24,6 +24,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import ParameterValues
+from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
@@ -163,16 +164,24 @@ class IdentifiedModel:
         return write_json(path, self.to_dict())
 
     @staticmethod
-    def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
-        """Read a model file; `effects` are those of it that are not in the catalogue (`load_effects`).
+    def load(
+        path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
+    ) -> IdentifiedModel:
+        """Read a model file; `effects` and `sensors` are those of it that are not in the catalogues (`load_effects`).
 
         Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given), `VehicleError`,
         `UnknownNameError`.
         """
-        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path), effects=effects)
+        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path), effects=effects, sensors=sensors)
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any], *, where: str = "model", effects: Iterable[Effect] = ()) -> IdentifiedModel:
+    def from_dict(
+        data: Mapping[str, Any],
+        *,
+        where: str = "model",
+        effects: Iterable[Effect] = (),
+        sensors: Iterable[Sensor] = (),
+    ) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
         if data.get("kind") == "hybrid":
             raise FileFormatError("a model with a learned part", where=where, fix="read it with greybox.load_model")
@@ -188,11 +197,13 @@ class IdentifiedModel:
                 if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
                     raise ValueError(f"{key} is {float(data[key]):g} s")
             vehicle = Vehicle.from_dict(data["vehicle"], where=where)
-            sensors = {s.name: s for s in SENSORS}
+            known = {s.name: s for s in (*SENSORS, *sensors)}
+            if missing := [str(n) for n in data["sensors"] if n not in known]:
+                raise UnknownNameError("sensor", missing[0], known, where=where)
             dynamics: Any = PhysicsModel(
                 vehicle=vehicle,
                 effects=effects_of(data["effects"], data.get("own_effects", {}), effects, where=where),
-                sensors=tuple(sensors[n] for n in data["sensors"]),
+                sensors=tuple(known[n] for n in data["sensors"]),
                 input=data["input"],
                 sample_time=float(data["model_sample_time"]),
                 kinematic_noise=bool(data.get("kinematic_noise", False)),
