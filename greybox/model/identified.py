@@ -18,11 +18,12 @@ import numpy as np
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError
 from greybox.files import checksum, read_json, write_json
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
+from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import Augmented, Disturbance, with_disturbance
 from greybox.model.parameter import ParameterValues
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
@@ -83,20 +84,35 @@ class IdentifiedModel:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects of a physics model."""
-        return tuple(e.name for e in getattr(self.physics, "effects", ()))
+        physics = physics_of(self.dynamics)
+        return () if physics is None else tuple(e.name for e in physics.effects)
 
     @property
     def sensors(self) -> frozenset[str]:
         """Names of the sensors of a physics model."""
-        return getattr(self.physics, "sensor_names", frozenset())
+        physics = physics_of(self.dynamics)
+        return frozenset() if physics is None else physics.sensor_names
+
+    @property
+    def core(self) -> Dynamics:
+        """The innermost model: without noise states and learned parts."""
+        return innermost(self.dynamics)
 
     @cached_property
-    def physics(self) -> Any:
-        """The innermost model: without disturbance states and learned parts."""
-        dynamics: Any = self.dynamics
-        while hasattr(dynamics, "inner"):
-            dynamics = dynamics.inner
-        return dynamics
+    def physics(self) -> PhysicsModel:
+        """The innermost model of a vehicle. Raises `ModelError` for a model of another kind (see `core`)."""
+        physics = physics_of(self.dynamics)
+        if physics is None:
+            raise ModelError(
+                f"{self.name} is not the model of a vehicle", expected="a physics model", got=type(self.core).__name__
+            )
+        return physics
+
+    @property
+    def channel_groups(self) -> tuple[str, ...]:
+        """Channel group of every innovation component; its own name where the model has no sensors."""
+        physics = physics_of(self.dynamics)
+        return self.dynamics.innovations.names if physics is None else physics.channel_groups
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
@@ -113,9 +129,10 @@ class IdentifiedModel:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values of the model file. Raises `ModelError` for a model that is not made of catalogue parts."""
-        physics = self.physics
-        core = self.dynamics.inner if isinstance(self.dynamics, Disturbed) else self.dynamics
-        if core is not physics:
+        augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
+        physics = self.dynamics if augmented is None else augmented.core
+        parts = () if augmented is None else augmented.parts
+        if physics is not self.core:
             raise ModelError("a model with a learned part is saved by save_model", got=self.name)
         if not isinstance(physics, PhysicsModel):
             raise ModelError(
@@ -123,7 +140,13 @@ class IdentifiedModel:
                 got=type(physics).__name__,
                 fix="keep the Python code of a model of your own and save its values",
             )
-        disturbed = self.dynamics if isinstance(self.dynamics, Disturbed) else None
+        disturbed = [p for p in parts if type(p) is Disturbance]
+        if other := [p.name for p in parts if p not in disturbed]:
+            raise ModelError(
+                "a model file holds white noise of the sensors", got=", ".join(other), fix="fit the model without them"
+            )
+        if len({p.time for p in disturbed}) > 1:
+            raise ModelError("a model file holds one start value of all correlation times", got=self.name)
         body = {
             "schema": SCHEMA,
             "kind": "physics",
@@ -135,8 +158,8 @@ class IdentifiedModel:
             "input": physics.input,
             "model_sample_time": physics.sample_time,
             "kinematic_noise": physics.kinematic_noise,
-            "disturbance": list(disturbed.groups) if disturbed else [],
-            "disturbance_time_constant": disturbed.time_constant if disturbed else None,
+            "disturbance": [p.group for p in disturbed],
+            "disturbance_time_constant": disturbed[0].time if disturbed else None,
             "omega_known": physics.omega_known,
             "sample_time": self.sample_time,
             "values": dict(self.values),
@@ -189,7 +212,7 @@ class IdentifiedModel:
                     raise ValueError(f"{key} is {float(data[key]):g} s")
             vehicle = Vehicle.from_dict(data["vehicle"], where=where)
             sensors = {s.name: s for s in SENSORS}
-            dynamics: Any = PhysicsModel(
+            dynamics: Dynamics = PhysicsModel(
                 vehicle=vehicle,
                 effects=effects_of(data["effects"], data.get("own_effects", {}), effects, where=where),
                 sensors=tuple(sensors[n] for n in data["sensors"]),
@@ -198,11 +221,8 @@ class IdentifiedModel:
                 kinematic_noise=bool(data.get("kinematic_noise", False)),
             )
             if data["disturbance"]:
-                dynamics = Disturbed(
-                    inner=dynamics,
-                    groups=tuple(data["disturbance"]),
-                    time_constant=float(data["disturbance_time_constant"]),
-                )
+                time = float(data["disturbance_time_constant"])
+                dynamics = with_disturbance(dynamics, data["disturbance"], time=time)
             model = IdentifiedModel(
                 dynamics=dynamics,
                 values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(data["values"]),

@@ -10,21 +10,21 @@ x+ = f(x, u) + B_d (g(z) + w); Hewing, Kabzan and Zeilinger 2020, IEEE TCST 28(6
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import LearnedPush
 from greybox.residual.features import features
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HybridModel:
+class HybridModel(LearnedPush):
     """`inner` with the mean of `posterior` added to the process-noise channels that its outputs are named after.
 
     The posterior's inputs are features by name (`greybox.residual.features`). Everything else is `inner`'s: states,
@@ -46,10 +46,14 @@ class HybridModel:
         x = ca.SX.sym("x", len(self.inner.states))
         features(self.inner, self.posterior.inputs.names, x, ca.SX.sym("u", len(self.inner.inputs), past + 1 + future))
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in ("inner", "posterior"):
-            raise AttributeError(name)
-        return getattr(self.inner, name)
+    @property
+    def base(self) -> Dynamics:
+        """The model that the push was learned for."""
+        return self.inner
+
+    def on(self, base: Dynamics) -> HybridModel:
+        """The same push on another model."""
+        return replace(self, inner=base)
 
     @property
     def name(self) -> str:

@@ -21,11 +21,11 @@ from greybox.model.noise import (
     Drift,
     Line,
     LowPass,
-    SensorPart,
     disturbances,
     sensor_parts,
     with_disturbance,
     with_parts,
+    with_white_sensors,
     without_parts,
 )
 from greybox.model.vehicle import read_vehicle
@@ -258,8 +258,7 @@ def test_adding_parts_to_an_augmented_model_gives_one_augmented_model(physics):
     ]
     assert sensor_parts(both) == PARTS[1:4]
     assert [d.group for d in disturbances(both)] == ["force", "torque"]
-    assert without_parts(both, Disturbance) == sensors
-    assert without_parts(both, SensorPart) == with_disturbance(physics, ("force", "torque"))
+    assert with_white_sensors(both) == with_disturbance(physics, ("force", "torque"))
     assert without_parts(both) is physics
     assert with_parts(physics, ()) is physics
     noise = "sensor noise coloured.gyro, drift.gyro, line.accelerometer, disturbance force, torque"

@@ -12,9 +12,10 @@ import pytest
 
 from greybox.estimation.build import compiler
 from greybox.estimation.engine import Engine, GainTable, engine_for
-from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import with_disturbance
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
 from scenarios.plants.presets import X250
@@ -37,11 +38,11 @@ def everything() -> PhysicsModel:
 
 
 @cache
-def middling() -> Disturbed:
+def middling() -> Dynamics:
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
     inner = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5], sample_time=DT)
-    return Disturbed(inner=inner.with_effect("motor_lag", "command_delay", "rotor_drag"), groups=("torque",))
+    return with_disturbance(inner.with_effect("motor_lag", "command_delay", "rotor_drag"), ("torque",))
 
 
 def values(model) -> np.ndarray:

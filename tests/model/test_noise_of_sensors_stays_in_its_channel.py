@@ -8,8 +8,9 @@ import pytest
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import physics_of
 from greybox.model.model import build_model
-from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.model.noise import Augmented, Coloured, Drift, Line, LowPass, with_white_sensors
 from greybox.model.vehicle import read_vehicle
 from scenarios.plants.presets import x250
 from scenarios.plants.sensor_faults import low_passed
@@ -18,10 +19,10 @@ from scenarios.plants.vehicle_file import write_vehicle
 DT = 0.01
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")
 PARTS = (
-    NoisePart(sensor="gyro", kind="coloured", time=0.05),
-    NoisePart(sensor="gyro", kind="drift"),
-    NoisePart(sensor="accelerometer", kind="line", time=0.5, frequency=13.0),
-    NoisePart(sensor="accelerometer", kind="low_pass", time=0.008),
+    Coloured(sensor="gyro", time=0.05),
+    Drift(sensor="gyro"),
+    Line(sensor="accelerometer", time=0.5, frequency=13.0),
+    LowPass(sensor="accelerometer", time=0.008),
 )
 
 
@@ -52,19 +53,19 @@ def start(model):
 
 
 def test_it_is_a_dynamics_and_comes_off_again(physics):
-    model = SensorNoise(inner=physics, parts=PARTS)
+    model = Augmented(core=physics, parts=PARTS)
     assert isinstance(model, Dynamics)
-    assert white(model) is physics
-    assert white(physics) is physics
+    assert with_white_sensors(model) is physics
+    assert with_white_sensors(physics) is physics
     assert len(model.states) - len(physics.states) == 3 + 3 + 6 + 3
     assert model.noise_scale(DT).shape == (len(model.noises),)
     assert model.reference({"qw": 1.0}).shape == (len(model.states),)
-    assert "rotor_drag" in {e.name for e in model.with_effect("rotor_drag").inner.effects}
+    assert "rotor_drag" in {e.name for e in physics_of(model.with_effect("rotor_drag")).effects}
     assert model.with_effect("rotor_drag").without_effect("rotor_drag") == model
 
 
 def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
-    model = SensorNoise(inner=physics, parts=PARTS[:3])
+    model = Augmented(core=physics, parts=PARTS[:3])
     step, _, innovation = functions(model)
     x, p = start(model)
     u, quiet = np.full(4, 0.5), np.zeros(len(model.noises))
@@ -90,7 +91,7 @@ def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
 
 
 def test_a_filter_is_the_one_that_smooths_a_record(physics):
-    model = SensorNoise(inner=physics, parts=PARTS[3:])
+    model = Augmented(core=physics, parts=PARTS[3:])
     (step, output, _), (_, bare, _) = functions(model), functions(physics)
     x, p = start(model)
     rng = np.random.default_rng(0)
@@ -109,8 +110,6 @@ def test_a_filter_is_the_one_that_smooths_a_record(physics):
 
 def test_mistakes_are_named(physics):
     with pytest.raises(UnknownNameError, match="barometer"):
-        SensorNoise(inner=physics, parts=(NoisePart(sensor="barometer", kind="coloured"),))
-    with pytest.raises(ModelError, match="pink"):
-        SensorNoise(inner=physics, parts=(NoisePart(sensor="gyro", kind="pink"),))
+        Augmented(core=physics, parts=(Coloured(sensor="barometer"),))
     with pytest.raises(ModelError, match=r"drift\.gyro"):
-        SensorNoise(inner=physics, parts=(PARTS[1], PARTS[1]))
+        Augmented(core=physics, parts=(PARTS[1], PARTS[1]))

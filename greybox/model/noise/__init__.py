@@ -7,6 +7,7 @@ from greybox.model.noise.augmented import (
     sensor_parts,
     with_disturbance,
     with_parts,
+    with_white_sensors,
     without_parts,
 )
 from greybox.model.noise.coloured import Coloured
@@ -30,6 +31,7 @@ __all__ = [
     "sensor_parts",
     "with_disturbance",
     "with_parts",
+    "with_white_sensors",
     "without_parts",
 ]
 

@@ -1,8 +1,8 @@
 """Augmented: a Dynamics and the noise that is correlated in time, as one model with more states.
 
-    x = (core's x, own states of every part),   w = (core's w, driving noise of every part) core's w
-    is pushed by the disturbances,   e = core's e - sensors' own noise,   filtered sensors show
-    their filter
+    x = (core's x, own states of every part)
+    w = (core's w, driving noise of every part); disturbances push the core's w
+    e = core's e - own noise of the sensors; filtered sensors show their filter
 
 White noise is no parts. Parts of sensors come first, in the order in which they were added, then
 disturbances in the order of the process noise. What the parts are is in their own files.
@@ -54,8 +54,8 @@ class Augmented(Layer):
 
     def __post_init__(self) -> None:
         core, parts = self.core, tuple(self.parts)
-        if isinstance(core, Augmented):
-            core, parts = core.core, (*core.parts, *parts)
+        if isinstance(self.core, Augmented):
+            core, parts = self.core.core, (*self.core.parts, *parts)
         names = [p.name for p in parts]
         if double := sorted({n for n in names if names.count(n) > 1}):
             raise ModelError(f"noise given twice: {', '.join(double)}")
@@ -99,23 +99,23 @@ class Augmented(Layer):
     def _signals(self) -> tuple[Signal, ...]:
         return tuple(s for placed in self._placed for s in placed.part.signals(placed.place))
 
-    def _acting(self, which: type[NoisePart], size: int) -> Expr:
-        """Matrix (size, own states) that adds the parts of a type, without filters, to what is at
-        their places."""
+    def _acting(self, chosen: Iterable[_Placed], size: int) -> Expr:
+        """Matrix (size, own states) that adds what acts of these parts to what is at their places."""
         e = ca.DM(size, len(self._signals))
-        for part, place, own, _ in self._placed:
-            if isinstance(part, which) and not (isinstance(part, SensorPart) and part.filters):
-                for j, i in enumerate(place.rows):
-                    e[i, own.start + j] = 1.0
+        for _, place, own, _ in chosen:
+            for j, i in enumerate(place.rows):
+                e[i, own.start + j] = 1.0
         return e
 
     @cached_property
     def _pushes(self) -> Expr:
-        return self._acting(Disturbance, len(self.core.noises))
+        disturbing = [a for a in self._placed if isinstance(a.part, Disturbance)]
+        return self._acting(disturbing, len(self.core.noises))
 
     @cached_property
     def _errs(self) -> Expr:
-        return self._acting(SensorPart, len(self.core.innovations))
+        erring = [a for a in self._placed if isinstance(a.part, SensorPart) and not a.part.filters]
+        return self._acting(erring, len(self.core.innovations))
 
     @property
     def name(self) -> str:
@@ -127,23 +127,23 @@ class Augmented(Layer):
         return self.core.name + sensors + (f", disturbance {groups}" if groups else "")
 
     @cached_property
-    def states(self) -> Layout:  # type: ignore[override]  # a property that is computed once
+    def states(self) -> Layout:
         """States of the core, then those of the parts."""
         return Layout([*self.core.states.signals, *self._signals])
 
     @cached_property
-    def error_states(self) -> Layout:  # type: ignore[override]
+    def error_states(self) -> Layout:
         """Error states of the core, then those of the parts."""
         own = [replace(s, name=f"d_{s.name}") for s in self._signals]
         return Layout([*self.core.error_states.signals, *own])
 
     @cached_property
-    def noises(self) -> Layout:  # type: ignore[override]
+    def noises(self) -> Layout:
         """Noises of the core, then what drives the parts."""
         return Layout([*self.core.noises.signals, *self._signals])
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the core, then those of the parts."""
         return (
             *self.core.parameters,
@@ -300,11 +300,16 @@ def with_parts(dynamics: Dynamics, parts: Iterable[NoisePart]) -> Dynamics:
     return Augmented(core=dynamics, parts=chosen) if chosen else dynamics
 
 
-def without_parts(dynamics: Dynamics, kind: type[NoisePart] = NoisePart) -> Dynamics:
-    """The model without its noise parts of a kind (all of them): its core where none is left."""
+def without_parts(dynamics: Dynamics) -> Dynamics:
+    """The model without any noise parts."""
+    return dynamics.core if isinstance(dynamics, Augmented) else dynamics
+
+
+def with_white_sensors(dynamics: Dynamics) -> Dynamics:
+    """The model with its disturbances alone: the noise of its sensors is white."""
     if not isinstance(dynamics, Augmented):
         return dynamics
-    return with_parts(dynamics.core, [p for p in dynamics.parts if not isinstance(p, kind)])
+    return with_parts(dynamics.core, [p for p in dynamics.parts if isinstance(p, Disturbance)])
 
 
 def with_disturbance(dynamics: Dynamics, groups: Iterable[str], *, time: float = 1.0) -> Dynamics:

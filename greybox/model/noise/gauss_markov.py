@@ -1,5 +1,4 @@
-"""First-order Gauss-Markov noise, c+ = exp(-dt/T) c + w: what coloured noise, lines and
-disturbances share.
+"""First-order Gauss-Markov noise, c+ = exp(-dt/T) c + w, of coloured noise, lines and disturbances.
 
 (Gelb, ed. 1974, Applied Optimal Estimation, sec. 3.8; Bryson and Johansen 1965, IEEE Trans.
 Automatic Control 10(1).)
