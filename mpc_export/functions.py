@@ -44,6 +44,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of, physics_of
 from greybox.model.linear import LinearModel
@@ -146,7 +147,7 @@ class _Builder:
                 fix="fit it, or load a model file",
             )  # fmt: skip
         self.model, self.groups = model, groups
-        dynamics: Any = model.dynamics if isinstance(model, IdentifiedModel) else model
+        dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
         self.own_dt = float(model.sample_time if isinstance(model, IdentifiedModel) else model.dt)
         self.dt = self.own_dt if dt is None else float(dt)
         if not (self.dt > 0 and math.isfinite(self.dt)):
