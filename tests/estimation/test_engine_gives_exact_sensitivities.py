@@ -14,6 +14,7 @@ from greybox.estimation.build import compiler
 from greybox.estimation.engine import Engine, GainTable, engine_for
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
+from greybox.model.layer import physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import with_disturbance
 from greybox.model.sensors import SENSORS
@@ -80,7 +81,7 @@ class Scene:
         self.y[:, at] /= np.linalg.norm(self.y[:, at], axis=1, keepdims=True)
         self.pattern = (np.arange(N) % 3 == 0).astype(np.int32)
         patterns = (rng.uniform(size=(2, ne)) > 0.3).astype(float)
-        groups = np.array(model.channel_groups)
+        groups = np.array(physics_of(model).channel_groups)
         patterns[0, (groups == "rotation") | (groups == "position")] = 0.0  # as with a slow camera
         self.mask = patterns[self.pattern]
         self.gain = gain_size * 2e-3 * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]

@@ -1,4 +1,5 @@
-"""A model file names the disturbed groups as it always did; a model of coloured sensors is refused."""
+"""A model file names the disturbed groups as it always did; a model of coloured sensors is
+refused."""
 
 from __future__ import annotations
 
@@ -46,7 +47,9 @@ def test_a_disturbed_model_comes_back_and_its_file_keeps_its_names(physics, tmp_
     assert body["disturbance"] == ["force", "torque"]
     assert body["disturbance_time_constant"] == 0.5
     assert list(body["values"])[-2:] == ["disturbance.force.T", "disturbance.torque.T"]
-    assert list(body["process_noise"])[6:] == [f"disturbance.{g}.{a}" for g in ("force", "torque") for a in "xyz"]
+    assert list(body["process_noise"])[6:] == [
+        f"disturbance.{g}.{a}" for g in ("force", "torque") for a in "xyz"
+    ]
     assert body["name"] == f"{physics.name}, disturbance force, torque"
     back = IdentifiedModel.load(path)
     assert back.dynamics.states == model.dynamics.states
@@ -61,12 +64,15 @@ def test_a_model_without_disturbances_says_so(physics):
 
 
 def test_groups_in_any_order_are_the_same_states(physics):
-    """A file that names torque before force has its numbers in the order of the process noise all the same."""
+    """A file that names torque before force has its numbers in the order of the process noise all
+    the same."""
     model = identified(with_disturbance(physics, ("torque", "force")))
     body = dict(model.to_dict())
     assert body["disturbance"] == ["force", "torque"]
     body["disturbance"] = ["torque", "force"]
-    body["checksum"] = checksum({k: v for k, v in body.items() if k not in ("checksum", "versions")})
+    body["checksum"] = checksum(
+        {k: v for k, v in body.items() if k not in ("checksum", "versions")}
+    )
     back = IdentifiedModel.from_dict(body)
     assert back.dynamics.states.names == model.dynamics.states.names
     assert back.weak == pytest.approx(model.weak)

@@ -1,4 +1,5 @@
-"""Noise states of sensors move nothing but their own sensor; a filter is the one that smooths a record."""
+"""Noise states of sensors move nothing but their own sensor; a filter is the one that smooths a
+record."""
 
 from __future__ import annotations
 
@@ -28,12 +29,17 @@ PARTS = (
 
 @pytest.fixture(scope="module")
 def physics(tmp_path_factory):
-    vehicle = read_vehicle(write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", x250(), sigma={"thrust.c2": 0.1}))
+    vehicle = read_vehicle(
+        write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", x250(), sigma={"thrust.c2": 0.1})
+    )
     return build_model(vehicle, COLUMNS, (), sample_time=DT)
 
 
 def functions(model):
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs), sum(model.window) + 1)
+    x, u = (
+        ca.SX.sym("x", len(model.states)),
+        ca.SX.sym("u", len(model.inputs), sum(model.window) + 1),
+    )
     w, p, y = (
         ca.SX.sym("w", len(model.noises)),
         ca.SX.sym("p", len(model.parameters)),
@@ -86,8 +92,12 @@ def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
     assert after[model.states["coloured.gyro.c.q"]] == pytest.approx(0.3 * np.exp(-DT / 0.05))
     assert after[model.states["drift.gyro.c.q"]] == pytest.approx(0.2)
     turn, decay = 2 * np.pi * 13.0 * DT, np.exp(-DT / 0.5)
-    assert after[model.states["line.accelerometer.c.az"]] == pytest.approx(0.7 * decay * np.cos(turn))
-    assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(0.7 * decay * np.sin(turn))
+    assert after[model.states["line.accelerometer.c.az"]] == pytest.approx(
+        0.7 * decay * np.cos(turn)
+    )
+    assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(
+        0.7 * decay * np.sin(turn)
+    )
 
 
 def test_a_filter_is_the_one_that_smooths_a_record(physics):
@@ -100,7 +110,11 @@ def test_a_filter_is_the_one_that_smooths_a_record(physics):
     for _ in range(60):
         u = rng.uniform(0.4, 0.6, 4)
         seen.append(output(x, u, p, quiet).full().ravel()[model.outputs["az"]])
-        true.append(bare(x[:n], u, p[: len(physics.parameters)], quiet[: len(physics.noises)]).full().ravel())
+        true.append(
+            bare(x[:n], u, p[: len(physics.parameters)], quiet[: len(physics.noises)])
+            .full()
+            .ravel()
+        )
         x = step(x, u, p, quiet).full().ravel()
     record = {"t": DT * np.arange(60), "az": np.array([v[physics.outputs["az"]] for v in true])}
     smooth = low_passed(record, ["az"], 1 / (2 * np.pi * 0.008))["az"]

@@ -100,7 +100,8 @@ class Augmented(Layer):
         return tuple(s for placed in self._placed for s in placed.part.signals(placed.place))
 
     def _acting(self, chosen: Iterable[_Placed], size: int) -> Expr:
-        """Matrix (size, own states) that adds what acts of these parts to what is at their places."""
+        """Matrix (size, own states) that adds what acts of these parts to what is at their
+        places."""
         e = ca.DM(size, len(self._signals))
         for _, place, own, _ in chosen:
             for j, i in enumerate(place.rows):
