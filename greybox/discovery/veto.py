@@ -154,7 +154,7 @@ class HeldOut:
             return Withheld(effects=added, reason=reason, loglik_gain=gain, ahead_gain=ahead_gain(old, new)[0])
         if nearer:
             return None
-        stages = {e.name: e.stage for e in getattr(after.fit.model.physics, "effects", ())}
+        stages = {e.name: e.stage for e in after.fit.model.physics.effects}
         if all(stages.get(n) == "sensor" for n in added) or gain > PLAIN * new.samples:
             return None
         ahead, spread = ahead_gain(old, new)

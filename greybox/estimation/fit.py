@@ -26,9 +26,10 @@ from greybox.estimation.solvers import SOLVERS
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.files import write_json
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
 from greybox.statistics.blocks import block_samples
 from greybox.statistics.whiteness import is_coloured
@@ -122,12 +123,13 @@ class Fit:
     def to_dict(self) -> dict[str, Any]:
         """The content of fit.json (schema "greybox.fit/1")."""
         d = self.model.dynamics
+        physics = physics_of(d)
         return {
             "schema": SCHEMA,
             "model": {
                 "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
                 "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
-                "omega_known": getattr(self.model.physics, "omega_known", True),
+                "omega_known": physics is None or physics.omega_known,
             },
             "settings": dict(self.settings),
             "status": self.status.to_dict(),
@@ -213,7 +215,7 @@ def fit(
     """
     began = time.perf_counter()
     groups = tuple(disturbance)
-    dynamics: Dynamics = Disturbed(inner=model, groups=groups) if groups else model
+    dynamics = with_disturbance(model, groups)
     chosen_predictor = member("predictor", PREDICTORS, predictor)
     chosen_criterion = member("criterion", CRITERIA, criterion)
     chosen_solver = member("solver", SOLVERS, solver)
@@ -453,12 +455,11 @@ def _between(numbers: FloatArray) -> float:
 
 def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[str, tuple[float, float]]:
     """Derived parameters with standard errors by the delta method (per-flight ones for each flight)."""
-    inner = problem.dynamics
-    make = getattr(inner, "derived", None)
-    if make is None:
+    physics = physics_of(problem.dynamics)
+    if physics is None:
         return {}
     p = ca.SX.sym("p", len(problem.dynamics.parameters))
-    table = make(p)
+    table = physics.derived(p)
     if not table:
         return {}
     vector = ca.vertcat(*table.values())

@@ -68,7 +68,7 @@ def subject(
     """
     asked = tuple(effect_by_name(e) if isinstance(e, str) else e for e in effects)
     if model is not None:
-        physics = model.physics
+        physics = model.core
         if not isinstance(physics, PhysicsModel):
             raise ModelError(
                 "only physics models can be planned for",
