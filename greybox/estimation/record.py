@@ -81,7 +81,8 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
     kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
     patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
-    start = {n: segment.channels[n][:few] for n in segment.channels}
+    numbers = {n: v for n, v in segment.extra.items() if v.dtype.kind == "f"} | dict(segment.channels)
+    start = {n: v[:few] for n, v in numbers.items()}
     start["t"] = segment.t[:few]
     x0, sigma = dynamics.initial_state(start)
     return Record(

@@ -20,6 +20,7 @@ from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
@@ -179,8 +180,8 @@ class _Work:
 
     @property
     def _gravity(self) -> float:
-        vehicle = getattr(self.model.physics, "vehicle", None)
-        return float(vehicle.gravity) if vehicle is not None else GRAVITY
+        physics = physics_of(self.model.dynamics)
+        return float(physics.vehicle.gravity) if physics is not None else GRAVITY
 
     def _roll_out(
         self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import inspect
 import pickle
 from collections.abc import Callable
 from typing import get_type_hints
@@ -16,9 +17,12 @@ from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.workflow import discover
 from greybox.errors import UnknownNameError
 from greybox.estimation.fit import fit
+from greybox.estimation.linear.fit import LinearChoices, LinearSetup, Record, fit_linear
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictors.multi_step import MultiStep
 from greybox.estimation.problem import make_problem
+from greybox.planning.options import PlanChoices, PlanOptions
+from greybox.planning.plan import plan
 from greybox.residual.options import GPChoices, GPOptions
 from tests import motor
 
@@ -26,10 +30,23 @@ CHOICES = {"predictor": "simulation", "fixed": ["friction"], "values": {"frictio
 
 
 @pytest.mark.parametrize(
-    ("record", "choices"), [(FitOptions, FitChoices), (DiscoverOptions, DiscoverChoices), (GPOptions, GPChoices)]
+    ("record", "choices"),
+    [
+        (FitOptions, FitChoices), (DiscoverOptions, DiscoverChoices), (GPOptions, GPChoices),
+        (PlanOptions, PlanChoices), (LinearSetup, LinearChoices),
+    ],
 )
 def test_keywords_are_the_fields(record: type, choices: type):
     assert [f.name for f in dataclasses.fields(record)] == list(get_type_hints(choices))
+
+
+@pytest.mark.parametrize(("function", "record"), [(fit, FitOptions), (discover, DiscoverOptions), (plan, PlanOptions)])
+def test_help_lists_every_choice_with_its_default(function: Callable[..., object], record: type):
+    shown = inspect.signature(function).parameters
+    for name, default in vars(record()).items():
+        assert shown[name].default == default
+        assert shown[name].kind is inspect.Parameter.KEYWORD_ONLY
+    assert "choices" not in shown
 
 
 def test_keywords_and_record_are_the_same_fit():
@@ -52,6 +69,8 @@ def test_keywords_and_record_are_the_same_fit():
         (lambda **k: FitOptions().but(**k), "prior", "priors"),
         (lambda **k: discover(None, None, **k), "max_effect", "max_effects"),  # type: ignore[arg-type]
         (lambda **k: GPOptions().but(**k), "kernal", "kernel"),
+        (lambda **k: plan(**k), "second", "seconds"),
+        (lambda **k: fit_linear([Record(u=np.zeros((9, 1)), y=np.zeros((9, 1)))], **k), "delay", "delays"),
     ],
 )
 def test_a_mistyped_choice_gets_the_nearest_name(call: Callable[..., object], wrong: str, near: str):

@@ -19,6 +19,7 @@ from greybox.frames import GRAVITY
 from greybox.model.effects import effect_by_name
 from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
+from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 
 HUGE = 1e9
@@ -465,14 +466,7 @@ def sigmas(c: Craft) -> Iterator[Implausible]:
 
 def noise(c: Craft) -> Iterator[Implausible]:
     """Sensor noise of another unit."""
-    limits = {
-        "gyro": (0.5, "rad/s, not deg/s"),
-        "accelerometer": (10.0, "m/s^2"),
-        "attitude": (0.2, "rad, not degrees"),
-        "position": (1.0, "m, not mm"),
-        "velocity": (2.0, "m/s, not mm/s"),
-        "voltage": (1.0, "V, not mV"),
-    }
+    limits = {s.name: (s.noisiest, s.noisiest_hint) for s in SENSORS} | {"voltage": (1.0, "V, not mV")}
     for key, level in c.vehicle.noise.items():
         top, unit = limits.get(key, (math.inf, ""))
         if level > top:
