@@ -19,7 +19,7 @@ import scipy.stats
 
 from greybox.automatic.facts import WANDER, Facts
 from greybox.automatic.foretell import Score, foretell
-from greybox.automatic.sets import Step, nested_sets, per_flight_parameters
+from greybox.automatic.sets import Step, names_of, nested_sets, per_flight_parameters
 from greybox.data import Dataset, Flight
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit, noise_of
@@ -256,7 +256,8 @@ class _Decider:
         """`steps` fitted and judged, from where `before` ended; None where that is not possible."""
         options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
         if before is not None:
-            start = {n: e.value for n, e in before.fit.parameters.items()}
+            dropped = set(_names(before.steps)) - set(_names(steps))
+            start = {n: e.value for n, e in before.fit.parameters.items() if n.split(".")[0] not in dropped}
             options = options.but(
                 values={**start, **options.values}, noise=noise_of(before.fit.model),
                 initialisation="nominal",
@@ -340,15 +341,20 @@ def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
     return tuple(e for s in steps for e in s.effects)
 
 
+def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
+    return tuple(n for s in steps for n in names_of(s))
+
+
 def _listed(steps: tuple[Step, ...]) -> str:
-    return ", ".join(e if isinstance(e, str) else e.name for e in _effects(steps)) or "none"
+    return ", ".join(_names(steps)) or "none"
 
 
 def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
     """The steps without those after the first whose every parameter is nothing within its error."""
     kept = []
     for step in candidate.steps:
-        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in step.effects]
+        names = _names((step,))
+        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in names]
         numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
         felt = any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
         if felt or step is candidate.steps[0]:

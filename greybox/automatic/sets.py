@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from greybox.automatic.facts import Facts
+from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
 
@@ -19,8 +20,13 @@ class Step:
     """Effects that enter together, and which of their parameters have one value per flight."""
 
     name: str
-    effects: tuple[str, ...]
+    effects: tuple[str | Effect, ...]
     per_flight: tuple[str, ...] = field(default=())
+
+
+def names_of(step: Step) -> tuple[str, ...]:
+    """Names of the effects of a step."""
+    return tuple(e if isinstance(e, str) else e.name for e in step.effects)
 
 
 BASE = Step(name="rotors and sensors", effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"))
@@ -44,7 +50,7 @@ def nested_sets(vehicle: Vehicle, facts: Facts) -> tuple[Step, ...]:
     """
     steps = []
     for step in (BASE, *STEPS):
-        usable = tuple(n for n in step.effects if n not in vehicle.effects and _felt(n, vehicle, facts))
+        usable = tuple(n for n in names_of(step) if n not in vehicle.effects and _felt(n, vehicle, facts))
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
@@ -69,6 +75,6 @@ def per_flight_parameters(steps: tuple[Step, ...], vehicle: Vehicle) -> tuple[st
         f"{effect}.{d.name}"
         for step in steps
         for effect in step.per_flight
-        if effect in step.effects
+        if effect in names_of(step)
         for d in effect_by_name(effect).parameters(vehicle)
     )
