@@ -238,7 +238,7 @@ def solve(task: Task, data: Dataset) -> Refit:
             values=task.values, noise=task.noise, **task.choices,
         )  # fmt: skip
         offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
-        starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
+        starts = [problem.inside(t) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
         solver = LevenbergMarquardt(
             tolerance=task.tolerance, max_iterations=task.iterations, initial_damping=task.damping, target=task.target

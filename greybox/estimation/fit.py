@@ -237,7 +237,7 @@ def fit(
         if hasattr(chosen_predictor, "approach"):  # multiple shooting closes its gaps first
             start = chosen_predictor.approach(problem, start, progress)
         try:
-            theta, status = chosen_solver.solve(problem, start, progress)
+            theta, status = chosen_solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
         result = _finish(problem, data, theta, status, began)
@@ -263,7 +263,7 @@ def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int)
         return init.noise_start(problem)
     if how == "equation-error":
         try:
-            start = init.equation_error(problem)
+            start = problem.inside(init.equation_error(problem))
             start = init.noise_start(problem, start) if problem.predictor.has_noise else start
         except FitError:
             return problem.start

@@ -27,6 +27,7 @@ import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import quat_derivative, quat_difference, quat_exp, quat_multiply, quat_normalize, rotation_matrix
+from greybox.model.bounds import core_bounds
 from greybox.model.effect import SLOTS, Effect, Flow, Remembered
 from greybox.model.effects import effect_by_name
 from greybox.model.parameter import Parameter
@@ -829,31 +830,24 @@ class PhysicsModel:
 def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
     """Declarations of mass, inertia, centre of mass, thrust and torque maps from the vehicle file.
 
-    A prior's bounds are four standard deviations to either side (positive quantities stay above a fifth of their
-    value), so that a large missing effect cannot drag them away.
+    Bounds follow the physics, or four sigma in older vehicle files (see `core_bounds`); priors are soft.
     """
 
-    def declare(
-        name: str, unit: str, value: float, sigma: float, meaning: str, *, positive: bool, size: float
-    ) -> Parameter:
-        lower, upper = -math.inf, math.inf
-        if sigma > 0 and math.isfinite(sigma):
-            lower, upper = value - 4 * sigma, value + 4 * sigma
-        if positive:
-            lower = max(lower, 0.2 * value)
+    def declare(name: str, unit: str, value: float, sigma: float, meaning: str, *, size: float) -> Parameter:
+        lower, upper = core_bounds(vehicle, name)
         scale = sigma if 0 < sigma < math.inf else (abs(value) or size)
         return Parameter(
             name=name, unit=unit, nominal=value, lower=lower, upper=upper, sigma=sigma, scale=scale, meaning=meaning
         )
 
     m = vehicle.mass
-    out = [declare("mass", "kg", m.value, m.sigma, "mass", positive=True, size=m.value)]
+    out = [declare("mass", "kg", m.value, m.sigma, "mass", size=m.value)]
     for i, a in enumerate(("xx", "yy", "zz")):
         j = float(vehicle.inertia[i][i])
         out.append(
             declare(
                 f"inertia.{a}", "kg m^2", j, float(vehicle.inertia_sigma[i]), f"moment of inertia {a}",
-                positive=True, size=j,
+                size=j,
             )
         )  # fmt: skip
     for i, a in enumerate("xyz"):
@@ -861,7 +855,7 @@ def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
         out.append(
             declare(
                 f"center_of_mass.{a}", "m", c.value, c.sigma, f"centre of mass {a}",
-                positive=False, size=vehicle.arm_length,
+                size=vehicle.arm_length,
             )
         )  # fmt: skip
     for kind, unit, triple in (("thrust", "N", vehicle.actuator.thrust), ("torque", "N m", vehicle.actuator.torque)):
@@ -870,7 +864,7 @@ def core_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
             out.append(
                 declare(
                     f"{kind}.c{k}", unit, q.value, q.sigma, f"{kind} per rotor, power {k} of nu",
-                    positive=False, size=size,
+                    size=size,
                 )
             )  # fmt: skip
     return tuple(out)

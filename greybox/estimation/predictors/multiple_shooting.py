@@ -85,7 +85,7 @@ class MultipleShooting:
     def _close(self, problem: Problem, start: FloatArray, window_s: float, progress: Progress | None) -> FloatArray:
         """Iterate with windows of this length. Raises `FitError` where the gaps do not close."""
         lower, upper = problem.lower, problem.upper
-        theta = np.clip(start, lower, upper)
+        theta = problem.inside(start)
         path = _path(problem, theta, window_s)
         for iteration in range(1, self.max_iterations + 1):
             parts = [_part(problem, theta, i, w) for i, w in enumerate(path)]
@@ -96,7 +96,7 @@ class MultipleShooting:
             if not (np.isfinite(value.cost) and np.isfinite(gradient).all() and np.isfinite(hessian).all()):
                 break
             held = ((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0))
-            new = np.clip(theta + damped_step(gradient, hessian, held, 0.0), lower, upper)
+            new = problem.inside(theta + damped_step(gradient, hessian, held, 0.0))
             step = new - theta
             decrement = max(-float(gradient @ step + 0.5 * step @ hessian @ step), 0.0)
             if progress:
