@@ -116,7 +116,11 @@ def test_warnings_for_what_is_unusual_but_possible():
     assert report.verdict == "warnings"
     assert {"inertia", "noise.gyro"} <= {f.where for f in report.findings}
     exact = changed(
-        mass=0.5, inertia_sigma=[0.0] * 3, actuator__thrust_sigma=[0.0] * 3, actuator__torque_sigma=[0.0] * 3
+        schema="greybox.vehicle/1",
+        mass=0.5,
+        inertia_sigma=[0.0] * 3,
+        actuator__thrust_sigma=[0.0] * 3,
+        actuator__torque_sigma=[0.0] * 3,
     )
     assert any(f.where == "sigma" and f.severity == "warning" for f in check_vehicle(exact).findings)
 
