@@ -72,7 +72,7 @@ def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
         _assign(data, key, value, notes)
     out = text
     for place, note in notes.items():
-        out = _write(out, place, _value_at(data, place), note)
+        out = written(out, place, _value_at(data, place), note)
     Vehicle.from_dict(tomllib.loads(out), where=f"template {name}")
     return out
 
@@ -216,7 +216,7 @@ def _toml(value: Any) -> str:
     return repr(value)
 
 
-def _write(text: str, place: str, value: Any, note: str) -> str:
+def written(text: str, place: str, value: Any, note: str) -> str:
     """`text` with the value of one key replaced, or added at the end of its table. Every key of a template is one line."""
     path, _, key = place.rpartition(".")
     line = f"{key} = {_toml(value)}  # {note}"
