@@ -54,6 +54,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
     from greybox.data.logs import read_logs
@@ -81,6 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
     vehicle = read_vehicle(arguments.vehicle)
+    if not quiet:
+        say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
     content: dict[str, Any] = {}

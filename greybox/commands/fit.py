@@ -124,6 +124,7 @@ def fit_with(arguments: argparse.Namespace, vehicle: Any, train: Any, progress: 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, fit, validate, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.data.logs import read_logs
@@ -139,6 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
     horizons = _horizons(arguments.horizons)
     vehicle = read_vehicle(arguments.vehicle)
+    say_vehicle(vehicle, say)
     train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
     test = (
         read_logs(arguments.test, vehicle, rate=arguments.rate, mapping=arguments.mapping)

@@ -102,9 +102,9 @@ class Beliefs:
         return [b.line() for b in self.entries if b.why != "exact"]
 
     def sentence(self) -> str:
-        """The defaults in one line; empty where every number says how sure it is."""
+        """The defaults in one line; empty where every number says how sure it is (arms cannot)."""
         groups = list(dict.fromkeys(group_of(b.quantity) for b in self.assumed))
-        if not groups:
+        if groups in ([], ["arm"]):
             return ""
         said = ", ".join(
             f"{g.replace('_', ' ')} {DEFAULT_SIGMAS[g].share:.0%}{' of the arm' if g == 'center_of_mass' else ''}"
