@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 
 def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -31,5 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
 
     vehicle = read_vehicle(arguments.vehicle)
-    say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
-    return tell(check_logs(arguments.logs, vehicle, mapping=arguments.mapping), arguments.json)
+    report = check_logs(arguments.logs, vehicle, mapping=arguments.mapping)
+    code = tell(report, arguments.json)
+    if arguments.json != "-":
+        say_vehicle(vehicle, print)
+    return code

@@ -82,8 +82,6 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
     vehicle = read_vehicle(arguments.vehicle)
-    if not quiet:
-        say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
     content: dict[str, Any] = {}
@@ -125,6 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             test = read_logs(
                 arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train), mapping=arguments.mapping
             )
+        if not quiet:
+            say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
         try:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,

@@ -140,7 +140,6 @@ def run(arguments: argparse.Namespace) -> int:
     say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
     horizons = _horizons(arguments.horizons)
     vehicle = read_vehicle(arguments.vehicle)
-    say_vehicle(vehicle, say)
     train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
     test = (
         read_logs(arguments.test, vehicle, rate=arguments.rate, mapping=arguments.mapping)
@@ -160,6 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
+    say_vehicle(vehicle, say)
     say(f"{train}")
 
     def progress(iteration: int, cost: float, decrement: float) -> None:

@@ -211,10 +211,10 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
     j = np.array(vehicle.inertia, dtype=np.float64)
     for i, a in enumerate("xyz"):
         j[i, i] = values[f"inertia.{a}{a}"]
-    for n, a, b in (("Jxy", 0, 1), ("Jxz", 0, 2), ("Jyz", 1, 2)):
-        extra = values.get(f"products_of_inertia.{n}", 0.0)
-        j[a, b] += extra
-        j[b, a] += extra
+    for product, row, column in (("Jxy", 0, 1), ("Jxz", 0, 2), ("Jyz", 1, 2)):
+        extra = values.get(f"products_of_inertia.{product}", 0.0)
+        j[row, column] += extra
+        j[column, row] += extra
     least = float(margins(j)[-1])
     moments = ", ".join(f"{v:.3g}" for v in np.linalg.eigvalsh(j))
     rate = (
