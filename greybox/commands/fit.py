@@ -138,6 +138,7 @@ def fit_options(arguments: argparse.Namespace) -> FitOptions:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, fit, validate, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.data.logs import read_logs
@@ -172,6 +173,7 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
+    say_vehicle(vehicle, say)
     say(f"{train}")
 
     def progress(iteration: int, cost: float, decrement: float) -> None:
