@@ -30,6 +30,7 @@ from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import ParameterValues
+from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.symbolic import BoolArray, FloatArray
 
 SCHEMA = "greybox.fit/1"
@@ -101,6 +102,19 @@ class Fit:
         """Whether the optimum was reached."""
         return self.status.converged
 
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the model is useful, as flights judged it; None where nobody did."""
+        return self.model.verdict
+
+    def judged(self, verdict: Verdict | None) -> Fit:
+        """The same fit with the verdict of a validation (`greybox.validation.validate`)."""
+        return replace(self, model=replace(self.model, verdict=verdict))
+
+    def __repr__(self) -> str:
+        line = NOT_JUDGED if self.verdict is None else self.verdict.line
+        return f"{line}\nFit({self.model.name}, {len(self.parameters)} parameters, {len(self.flights)} flights)"
+
     def __getitem__(self, name: str) -> Estimate:
         try:
             return self.parameters[name]
@@ -122,6 +136,7 @@ class Fit:
         d = self.model.dynamics
         return {
             "schema": SCHEMA,
+            "verdict": None if self.verdict is None else self.verdict.to_dict(),
             "model": {
                 "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
                 "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
@@ -151,8 +166,8 @@ class Fit:
         self.model.save(f"{folder}/model.json")
 
     def summary(self) -> str:
-        """The estimates as text, status first."""
-        lines = [self.status.advice]
+        """The estimates as text: the verdict first, then how the solver ended."""
+        lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
