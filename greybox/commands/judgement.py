@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -62,25 +63,40 @@ def exit_code(verdict: Verdict | None) -> int:
     return 0 if verdict is None else verdict.exit_code
 
 
-def refuses(content: Mapping[str, Any], path: str, *, even_so: bool, command: str) -> bool:
-    """Whether a model file says NOT USABLE and nobody said --even-so; says on standard error what it says.
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """Whether a command that builds on a model goes on (`open`), and the `line` that says what the model is worth."""
 
-    `content` is the model file. A file without a verdict (an older one) gets a warning and passes.
+    open: bool
+    line: str
+
+    def say(self, command: str) -> None:
+        """Print the line on standard error; nothing where the model is of a kind that is not judged this way."""
+        if self.line:
+            print(f"greybox {command}: {self.line}", file=sys.stderr)
+
+
+def gate(content: Mapping[str, Any], path: str, *, even_so: bool) -> Gate:
+    """Judge a model file (`content`, read from `path`) by the verdict that it carries.
+
+    Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older one) passes with a warning.
+    Raises `FileFormatError` for a verdict that is incomplete.
     """
     from greybox.errors import FileFormatError
+    from greybox.model.identified import SCHEMA
     from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 
-    data = content.get("base", content).get("verdict")
+    if content.get("schema") != SCHEMA:  # linear models have tables of their own
+        return Gate(open=True, line="")
+    base = content.get("base")
+    data = (base if isinstance(base, dict) else content).get("verdict")
     if data is None:
-        print(f"greybox {command}: warning: {path}: {NOT_JUDGED}", file=sys.stderr)
-        return False
+        return Gate(open=True, line=f"warning: {path}: {NOT_JUDGED}")
     try:
         verdict = Verdict.from_dict(data)
     except (KeyError, TypeError, ValueError, AttributeError):
         raise FileFormatError("incomplete verdict", where=path, fix="write the file again") from None
     if verdict.refused and not even_so:
-        print(f"greybox {command}: {path}: {verdict.line}. To go on all the same: --even-so", file=sys.stderr)
-        return True
-    if verdict.outcome is not Outcome.USABLE:
-        print(f"greybox {command}: warning: {path}: {verdict.line}", file=sys.stderr)
-    return False
+        return Gate(open=False, line=f"{path}: {verdict.line}. To go on all the same: --even-so")
+    mark = "" if verdict.outcome is Outcome.USABLE else "warning: "
+    return Gate(open=True, line=f"{mark}{path}: {verdict.line}")
