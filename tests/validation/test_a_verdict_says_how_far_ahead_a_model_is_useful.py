@@ -105,7 +105,13 @@ def test_far_worse_at_half_a_second_is_not_usable_even_where_the_start_is_good()
 def test_a_model_that_equals_the_last_value_is_not_useful() -> None:
     found = verdict_of(held())
     assert found.outcome is Outcome.NOT_USABLE
-    assert "no group is better" in found.line
+    assert "rotation is no better than holding the last value" in found.line
+
+
+def test_knowing_how_it_moves_does_not_excuse_not_knowing_how_it_turns() -> None:
+    found = verdict_of(own() | {g: 0.95 * held()[g] for g in ("rotation", "rate")})
+    assert found.outcome is Outcome.NOT_USABLE
+    assert found.anchor.endswith("no-better-than-the-last-value")
 
 
 def test_predictions_that_are_not_finite_are_not_usable() -> None:
@@ -182,6 +188,14 @@ def test_logs_of_an_imu_alone_are_judged_a_shorter_time_ahead() -> None:
     found = judge(table("model", late), table("persistence", last))
     assert found.outcome is Outcome.USABLE
     assert found.groups[0].seconds == pytest.approx(0.3)
+
+
+def test_an_offset_of_the_accelerometer_spoils_no_model_that_sees_thrust() -> None:
+    last = {"rate": held()["rate"], "specific_force": 0.35 + 2.0 * SECONDS}
+    offset = {"rate": 0.4 * last["rate"], "specific_force": np.full(100, 0.5)}
+    assert judge(table("model", offset), table("persistence", last)).outcome is Outcome.USABLE
+    blind = {"rate": 0.4 * last["rate"], "specific_force": np.full(100, 2.0)}
+    assert judge(table("model", blind), table("persistence", last)).outcome is Outcome.NOT_USABLE
 
 
 def test_the_flights_that_were_fitted_are_named_as_such() -> None:
