@@ -93,7 +93,8 @@ def _span(flight: Flight, first: float, last: float) -> tuple[float, float]:
 
 
 def _split(data: Dataset, spans: Spans) -> Split:
-    fitted, left = [], []
+    fitted: list[Flight] = []
+    left: list[Flight] = []
     for flight in data:
         out = spans(flight)
         begin, end = _span(flight, 0.0, 1.0)

@@ -132,7 +132,7 @@ def judge(
             got=f"{len(groups)} group(s), {steps * dt:.3g} s",
             fix="longer flights",
         )
-    seconds = dt * np.arange(1, steps + 1)
+    seconds: FloatArray = dt * np.arange(1, steps + 1, dtype=np.float64)
     imu_only = set(groups) <= {"rate", "specific_force"}
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
