@@ -9,8 +9,8 @@ from __future__ import annotations
 import concurrent.futures
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 IndexArray = npt.NDArray[np.intp]
 _S = TypeVar("_S")
@@ -110,6 +110,14 @@ class Predictor(Protocol):
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Residuals of every record at `theta`, in the order of the records."""
+
+
+@runtime_checkable
+class Integrating(Protocol):
+    """A predictor whose filter starts with the covariance of the start, as far as it can tell that."""
+
+    def told(self, problem: Problem) -> list[BoolArray] | None:
+        """Which initial errors (n_d,) of every record are integrated out; the others, or all of None, are unknowns."""
 
 
 class Criterion(Protocol):
@@ -214,15 +222,34 @@ class Problem:
         """Places of the engine's active parameters for one flight."""
         return np.array([self.place(a, flight) for a in self.engine.active], dtype=np.intp)
 
+    def initial_rows(self, record_index: int) -> IndexArray:
+        """Entries of the initial error state of one record that are unknowns, (n_0,)."""
+        tag, table = f"record {record_index}", self._index()
+        names = self.dynamics.error_states.names
+        return np.array([i for i, n in enumerate(names) if (n, tag) in table], dtype=np.intp)
+
     def initial_columns(self, record_index: int) -> IndexArray:
-        """Places of the initial error state of one record."""
-        tag = f"record {record_index}"
-        return np.array([self._index()[(n, tag)] for n in self.dynamics.error_states.names], dtype=np.intp)
+        """Places of these among the unknowns, (n_0,)."""
+        tag, names = f"record {record_index}", self.dynamics.error_states.names
+        return np.array([self._index()[(names[i], tag)] for i in self.initial_rows(record_index)], dtype=np.intp)
+
+    def initial_error(self, theta: FloatArray, record_index: int) -> FloatArray:
+        """Initial error state (n_d,) of a record, zero where it is no unknown."""
+        d = np.zeros(len(self.dynamics.error_states))
+        d[self.initial_rows(record_index)] = theta[self.initial_columns(record_index)]
+        return d
 
     def initial_state(self, theta: FloatArray, record_index: int) -> FloatArray:
         """x0 of a record: its measured start moved by the initial error state."""
-        d = theta[self.initial_columns(record_index)]
-        return self.engine.moved(self.records[record_index].x0, d)[0]
+        return self.start_of(theta, record_index)[0]
+
+    def start_of(self, theta: FloatArray, record_index: int) -> tuple[FloatArray, FloatArray]:
+        """(x0 (n_x,), its derivative in the initial errors that are unknowns (n_d, n_0))."""
+        rows = self.initial_rows(record_index)
+        if not rows.size:
+            return self.records[record_index].x0, np.zeros((self.engine.nd, 0))
+        moved, slope = self.engine.moved(self.records[record_index].x0, self.initial_error(theta, record_index))
+        return moved, slope[:, rows]
 
     # ------------------------------------------------------------ cost
 
@@ -307,6 +334,7 @@ def make_problem(
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     declared = {d.name: d for d in dynamics.parameters}
+    starts = estimate_initial
     estimate_initial = estimate_initial and bool(getattr(predictor, "has_initial", True))
 
     def known(names: Iterable[str]) -> list[str]:
@@ -362,20 +390,33 @@ def make_problem(
         unknowns += [
             _declared(declared[n], values[n], f, flight_priors.get(n, priors.get(n))) for n in chosen if n in own
         ]
-    if estimate_initial:
-        for k, r in enumerate(records):
-            unknowns += [
-                Unknown(
-                    name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
-                    sigma=float(s), scale=float(s), unit=u,
-                )
-                for n, u, s in zip(dynamics.error_states.names, dynamics.error_states.units, r.x0_sigma, strict=True)
-            ]  # fmt: skip
-    return Problem(
+    state: dict[str, object] = {"process_level": process, "sensor_level": sensor}
+    problem = Problem(
         dynamics=dynamics, engine=engine, predictor=predictor, criterion=criterion, records=records,
         unknowns=tuple(unknowns), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
-        means=channel_means(dataset), flights=flights,
-        state={"process_level": process, "sensor_level": sensor, "estimate_initial": estimate_initial},
+        means=channel_means(dataset), flights=flights, state=state | {"estimate_initial": False, "spreads": None},
+    )  # fmt: skip
+    if not starts:
+        return problem
+    told = predictor.told(problem) if isinstance(predictor, Integrating) else None
+    if told is None and not estimate_initial:
+        return problem
+    integrated = told or [np.zeros(engine.nd, dtype=bool)] * len(records)
+    initial = [
+        Unknown(
+            name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
+            sigma=float(s), scale=float(s), unit=u,
+        )
+        for k, r in enumerate(records)
+        for n, u, s, known_later in zip(
+            dynamics.error_states.names, dynamics.error_states.units, r.x0_sigma, integrated[k], strict=True
+        )
+        if not known_later
+    ]  # fmt: skip
+    spreads = None if told is None else [np.where(t, r.x0_sigma, 0.0) for t, r in zip(told, records, strict=True)]
+    return replace(
+        problem, unknowns=(*unknowns, *initial),
+        state=state | {"estimate_initial": bool(initial), "spreads": spreads},
     )  # fmt: skip
 
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.gain import Riccati, linearisation_at
 from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.problem import Block, Problem
-from greybox.symbolic import FloatArray
+from greybox.estimation.settling import RecordGains, Settling
+from greybox.symbolic import BoolArray, FloatArray
 
 FORGOTTEN = 1e-100
 """Sensitivity that is zero for the next piece. Of its start a long record forgets everything; numbers below 1e-308, which
@@ -53,7 +53,28 @@ class Innovation:
         }
 
     def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
-        """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
+        """Stationary solution with all channels at `theta`, see `settling`."""
+        return self.settling(problem, theta, slopes).settled()[0]
+
+    def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
+        """The filter of every record at `theta`, from the spread of its start as far as that is no unknown."""
+        settling = self.settling(problem, theta, slopes)
+        spreads: Any = problem.state["spreads"] or [None] * len(problem.records)
+        return [settling.gains(r, spread) for r, spread in zip(problem.records, spreads, strict=True)]
+
+    def told(self, problem: Problem) -> list[BoolArray] | None:
+        """The initial errors that the linearisation at nominal parameters and noise levels lets the samples tell."""
+        lin: Any = problem.state["linearisation"]
+        x, window = problem.state["reference"]  # type: ignore[misc]
+        d, weak = problem.dynamics, problem.state["weak"]
+        values = lin.values(x, window, np.array([q.nominal for q in d.parameters]), problem.dt)
+        nominal = Settling(
+            values=values, q=d.noise_scale(problem.dt) ** 2, r=d.sensor_scale() ** 2, weak=weak,  # type: ignore[arg-type]
+        )  # fmt: skip
+        return [nominal.told(r) for r in problem.records]
+
+    def settling(self, problem: Problem, theta: FloatArray, slopes: bool) -> Settling:
+        """The filter at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
         lin: Any = problem.state["linearisation"]
         reference: Any = problem.state["reference"]
         x, window = reference
@@ -64,7 +85,7 @@ class Innovation:
         q, r = process**2, sensor**2
         if not slopes:
             pushes = None if lost is None else lost.at(x, window, p, problem.dt)
-            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=pushes)
+            return Settling(values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes)
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain.
         shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
@@ -77,49 +98,29 @@ class Innovation:
         dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
         dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
         keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
-        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], pushes)
-
-    def tables(
-        self, riccati: Riccati, patterns: FloatArray, extra: int
-    ) -> tuple[GainTable, FloatArray, FloatArray | None]:
-        """(gains, covariances, covariance slopes) per pattern, with `extra` columns of zero slope appended."""
-        parts = [riccati.gain(m) for m in patterns]
-        k = np.array([v[0] for v in parts])
-        s = np.array([v[1] for v in parts])
-        zero = np.array([not m.any() for m in patterns], dtype=np.int32)
-        if riccati.dN is None:
-            return GainTable(gain=k, zero=zero), s, None
-        dk = np.moveaxis(np.array([v[2] for v in parts]), 1, -1)
-        dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
-        ds = np.array([v[3] for v in parts])
-        ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)
-        return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+        return Settling(
+            values=values, q=q, r=r, weak=weak, slopes=dvalues, dq=dq[keep], dr=dr[keep], lost=pushes
+        )
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Innovations of every record, one after the other: what is done with may be forgotten."""
-        riccati = self.riccati(problem, theta, jacobian)
+        filters = self.gains(problem, theta, jacobian)
         engine = problem.engine
-        free_start = bool(problem.state["estimate_initial"])
-        nd = engine.nd if free_start else 0
         places = [problem.place(n) for n in noise_names(problem)]
         noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
-        ns = len(engine.active) + noise_columns.size + nd
 
         def pieces(i: int) -> Iterator[Block]:
             record = problem.records[i]
-            patterns, which = riccati.distinct(record.patterns)
-            pattern = which[record.pattern].astype(np.int32)
-            gains, covariance, slope = self.tables(riccati, patterns, nd)
-            x = problem.initial_state(theta, i) if free_start else record.x0
+            pattern = filters[i].pattern
+            x, moved = problem.start_of(theta, i)
+            initial = problem.initial_columns(i)
+            gains, covariance, slope = filters[i].tables(initial.size)
+            columns = np.concatenate([problem.local_columns(record.flight), noise_columns, initial])
             s: FloatArray | None = None
             if jacobian:
-                s = np.zeros((engine.nd, ns))
-                if free_start:
-                    # Derivative of the moved start in its own chart (identity to first order in the small move).
-                    s[:, ns - nd :] = engine.moved(record.x0, theta[problem.initial_columns(i)])[1]
-            columns = [problem.local_columns(record.flight), noise_columns]
-            if free_start:
-                columns.append(problem.initial_columns(i))
+                s = np.zeros((engine.nd, columns.size))
+                # Derivative of the moved start in its own chart (identity to first order in the small move).
+                s[:, columns.size - initial.size :] = moved
             p = problem.parameters_of(theta, record.flight)
             length = self.piece if jacobian else record.n
             for begin in range(0, record.n, length):
@@ -139,7 +140,7 @@ class Innovation:
                     s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
                 yield Block(
                     record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
-                    columns=np.concatenate(columns), covariance=covariance, covariance_slope=slope,
+                    columns=columns, covariance=covariance, covariance_slope=slope,
                     pattern=pattern[rows],
                 )  # fmt: skip
 
