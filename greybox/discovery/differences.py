@@ -12,7 +12,7 @@ import concurrent.futures
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.gain import linearisation_at
 from greybox.estimation.lost_commands import any_lost, lost_commands
+from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
@@ -42,16 +43,15 @@ TRACE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Given:
+class Given(Predictor[None]):
     """A predictor whose blocks are there already."""
 
     given: Sequence[Block]
     name: str = "given"
-    has_noise: bool = True
+    has_noise: ClassVar[bool] = True
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> None:
         """Nothing."""
-        return {}
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """What was given."""
@@ -148,8 +148,7 @@ def widened(
             )
         )
     thresholds = frozenset(runner.thresholds | other.thresholds)
-    state = {k: v for k, v in small.state.items() if k != "index"} | {"thresholds": thresholds}
-    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), state=state)
+    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), thresholds=thresholds)
     return wide, np.concatenate([theta, [u.start for u in added]])
 
 
@@ -200,7 +199,7 @@ class _Runner:
 
     def _spread(self, i: int) -> FloatArray | None:
         """Standard deviations of the start's errors as in the smaller model; what only the larger one has is known."""
-        found: Any = self.small.state["spreads"]
+        found = self.small.spreads
         if found is None:
             return None
         own = dict(zip(self.small.dynamics.error_states.names, found[i], strict=True))

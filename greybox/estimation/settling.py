@@ -32,12 +32,12 @@ from greybox.symbolic import BoolArray, FloatArray
 FIRST = 8
 """Samples at the start whose covariances are followed one by one."""
 STRETCHES = 2
-"""Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a tenth about its middle."""
+"""Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth about its middle."""
 PHASES = 1
 """The same where every stretch has a gain for each phase of a pattern."""
 SETTLED = 1e-6
-"""Relative difference to the settled gain from which on it is that one; it moves a cost of a million samples by 1e-3 at
-most, and that smoothly."""
+"""Relative difference to the settled gain from which on it is that one. A wrong gain costs the square of
+that."""
 TOLD = 0.5
 """Standard deviation of an error of the start, given all samples, in units of that without them, below which the
 linearisation tells it. Of the others (heading without a compass) the flight itself may tell more."""

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,8 @@ from greybox.model.vehicle import Vehicle
 from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.decoupled import Terms, combined
 from greybox.residual.kinematics import IMU, black_box_view, motion
+from greybox.residual.output_residual import OutputHybrid
+from greybox.residual.regressors import Predictor
 from greybox.symbolic import FloatArray, Signal
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS
@@ -46,6 +48,19 @@ ORDER_SAMPLES = 6000
 """Samples on which the order of linear models is chosen; more would only take longer."""
 AXES: Mapping[str, str] = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
 """Output -> its axis in the decoupled linear models."""
+
+
+class OneStep(Protocol):
+    """What predicts channels one sample ahead; a `Predictor` that need not run on its own."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the n_y channels that it predicts."""
+        ...
+
+    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
+        """As in `greybox.residual.regressors.Predictor`."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,7 +204,9 @@ class Bench:
 
     # ------------------------------------------------------------------------------------------------ outcomes
 
-    def channels_of(self, predictor: Any, views: Sequence[Segment]) -> tuple[list[FloatArray], list[FloatArray], float]:
+    def channels_of(
+        self, predictor: OneStep, views: Sequence[Segment]
+    ) -> tuple[list[FloatArray], list[FloatArray], float]:
         """(means, variances) of the judged channels on `views`, and microseconds per sample."""
         both = [predictor.one_step(s) for s in views]
         # Adaptation to the flight and compilation are no part of a prediction.
@@ -226,7 +243,7 @@ class Bench:
             return None
 
     def outcome(
-        self, label: str, predictor: Any, *, views: bool, seconds: float, search: Sequence[Mapping[str, Any]] = (),
+        self, label: str, predictor: Predictor, *, views: bool, seconds: float, search: Sequence[Mapping[str, Any]] = (),
         settings: Mapping[str, Any] | None = None,
     ) -> Outcome:  # fmt: skip
         """Everything of a predictor of channels; `views`: it sees those of black boxes."""
@@ -267,8 +284,10 @@ class Bench:
         return np.asarray(np.nanmean(np.concatenate(ratios), axis=0))
 
 
-def _unadapted(predictor: Any) -> Any:
+def _unadapted(predictor: OneStep) -> OneStep:
+    """The predictor without adaptation to the flight, where it has one."""
     if isinstance(predictor, BasePredictor):
         return replace(predictor, adapt=None)
-    base = getattr(predictor, "base", None)
-    return replace(predictor, base=replace(base, adapt=None)) if isinstance(base, BasePredictor) else predictor
+    if isinstance(predictor, OutputHybrid):
+        return replace(predictor, base=replace(predictor.base, adapt=None))
+    return predictor
