@@ -34,11 +34,13 @@ import numpy as np
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.estimation.build import cache_dir
 from greybox.files import OutputError, checksum, file_sha256, read_json, to_plain, write_atomic, write_json
-from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
 from greybox.model.effects_file import own_effects
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import innermost, layers
 from greybox.model.linear import LinearModel
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
@@ -311,14 +313,15 @@ def _cache_key(model: IdentifiedModel | LinearModel, options: list[Any]) -> str 
 
 def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
     """Whether code shapes the model that neither this package nor the checksum of an effects file stands for."""
-    part: Any = model.dynamics if isinstance(model, IdentifiedModel) else model
-    while type(part) in (HybridModel, Disturbed):
-        part = part.inner
-    if type(part) is not PhysicsModel:
-        return type(part) is not LinearModel
+    dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
+    if any(type(layer) not in (HybridModel, Augmented) for layer in layers(dynamics)):
+        return True
+    core = innermost(dynamics)
+    if type(core) is not PhysicsModel:
+        return type(core) is not LinearModel
     known = {type(sensor) for sensor in SENSORS}
-    own = own_effects(part.effects).values()
-    return any(type(s) not in known for s in part.sensors) or any(e["sha256"] is None for e in own)
+    own = own_effects(core.effects).values()
+    return any(type(s) not in known for s in core.sensors) or any(e["sha256"] is None for e in own)
 
 
 def _from_cache(key: str, place: Path) -> ExportBundle | None:

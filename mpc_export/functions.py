@@ -44,7 +44,9 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import learned_push_of, physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
@@ -145,7 +147,7 @@ class _Builder:
                 fix="fit it, or load a model file",
             )  # fmt: skip
         self.model, self.groups = model, groups
-        dynamics: Any = model.dynamics if isinstance(model, IdentifiedModel) else model
+        dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
         self.own_dt = float(model.sample_time if isinstance(model, IdentifiedModel) else model.dt)
         self.dt = self.own_dt if dt is None else float(dt)
         if not (self.dt > 0 and math.isfinite(self.dt)):
@@ -161,11 +163,8 @@ class _Builder:
         self.posterior: GPPosterior | None = None
         if isinstance(dynamics, HybridModel):
             self.posterior, dynamics = dynamics.posterior, dynamics.inner
-        inner = dynamics
-        while hasattr(inner, "inner"):
-            if isinstance(inner, HybridModel):
-                raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
-            inner = inner.inner
+        if learned_push_of(dynamics) is not None:
+            raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
         if self.posterior is not None and (euler := [n for n in self.posterior.inputs.names if n in EULER]):
             raise ModelError(
                 f"the learned part looks at Euler angles ({', '.join(euler)})",
@@ -610,12 +609,12 @@ class _Builder:
 def _bounds(builder: _Builder) -> tuple[FloatArray, FloatArray]:
     """(lower, upper) of the commands: 0 .. 1, rotor speeds 0 .. speed_max, else what was seen in training."""
     domain = builder.model.domain if isinstance(builder.model, IdentifiedModel) else {}
-    vehicle = getattr(builder.sampled.dynamics, "vehicle", None)
+    physics = physics_of(builder.sampled.dynamics)
     rows = []
     for name in builder.sampled.inputs.names:
-        if vehicle is not None:
-            top = vehicle.actuator.speed_max if name.startswith("omega") else 1.0
-            rows.append((0.0, float(top)))
+        if physics is not None:
+            top = physics.vehicle.actuator.speed_max if name.startswith("omega") else 1.0
+            rows.append((0.0, math.inf if top is None else float(top)))
         else:
             rows.append(domain.get(name, (-math.inf, math.inf)))
     values = np.array(rows, dtype=float).reshape(-1, 2)
@@ -638,7 +637,8 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
     rates = dict(zip(("rate.x", "rate.y", "rate.z"), "pqr"))
     speeds = dict(zip(("velocity.x", "velocity.y", "velocity.z"), ("vx", "vy", "vz")))
     pushes = {f"disturbance.{n}": v for n, v in zip(s.dynamics.noises.names, s.dynamics.noise_scale(0.01))}
-    remembered: Mapping[str, float] = getattr(s.dynamics, "memory_sizes", {})
+    physics = physics_of(s.dynamics)
+    remembered: Mapping[str, float] = {} if physics is None else physics.memory_sizes
     lower, upper = _bounds(builder)
     width = np.where(np.isfinite(upper - lower), np.maximum(np.abs(lower), np.abs(upper)), 1.0)
     commands = dict(zip(s.inputs.names, np.where(width > 0, width, 1.0).tolist()))

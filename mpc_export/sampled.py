@@ -11,9 +11,8 @@ All expressions are SX.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,8 @@ import numpy.typing as npt
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import chart_jacobians
-from greybox.model.dynamics import Dynamics
+from greybox.model.dynamics import Dynamics, StateSpaceModel
+from greybox.model.layer import innermost, physics_of, with_physics
 from greybox.model.linear import LinearModel
 from greybox.residual.features import features
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
@@ -30,20 +30,17 @@ EXOGENOUS = ("vbat",)
 """Inputs of a multirotor that nobody commands."""
 
 
-def is_discrete(dynamics: Any) -> bool:
+def is_discrete(dynamics: Dynamics) -> bool:
     """Whether the model is a map from sample to sample, without a derivative."""
-    while hasattr(dynamics, "inner"):
-        dynamics = dynamics.inner
-    return isinstance(dynamics, LinearModel) or bool(getattr(dynamics, "discrete", False))
+    core = innermost(dynamics)
+    return isinstance(core, LinearModel) or (isinstance(core, StateSpaceModel) and core.discrete)
 
 
-def at_sample_time(dynamics: Any, dt: float) -> Any:
+def at_sample_time(dynamics: Dynamics, dt: float) -> Dynamics:
     """The same model for another sample time: its command window holds as many samples as its delay then needs."""
-    if hasattr(dynamics, "inner"):
-        return replace(dynamics, inner=at_sample_time(dynamics.inner, dt))
-    if is_dataclass(dynamics) and hasattr(dynamics, "sample_time"):
-        return replace(dynamics, sample_time=dt)  # type: ignore[type-var]
-    return dynamics
+    if physics_of(dynamics) is None:
+        return dynamics
+    return with_physics(dynamics, lambda physics: replace(physics, sample_time=dt))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

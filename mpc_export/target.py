@@ -19,6 +19,7 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.frames import euler_zyx
+from greybox.model.layer import physics_of
 from greybox.symbolic import Expr, Layout, Signal
 from mpc_export.sampled import Sampled
 
@@ -68,7 +69,8 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     own = len(sampled.dynamics.error_states)
     names = sampled.error_states.names
     moving = [i for i in range(own) if not names[i].startswith("d_disturbance.")]
-    own_sizes: Mapping[str, float] = getattr(sampled.dynamics, "memory_sizes", {})
+    physics = physics_of(sampled.dynamics)
+    own_sizes: Mapping[str, float] = {} if physics is None else physics.memory_sizes
     sizes = SIZES | {f"d_{n}": v for n, v in own_sizes.items()}
     size = np.array([sizes.get(names[i], sizes.get(names[i].rpartition(".")[0], 1.0)) for i in moving])
     scale = np.concatenate([size, np.full(nu, 0.3)])

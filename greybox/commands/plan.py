@@ -75,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.errors import GreyboxError, ModelError
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
+    from greybox.model.layer import physics_of
     from greybox.model.vehicle import read_vehicle
     from greybox.planning import plan
     from greybox.planning.limits import Limits, command_range
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_model(arguments.model, effects=own.values()) if arguments.model else None
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     if model is not None:
-        if not hasattr(model.physics, "vehicle"):
+        if physics_of(model.dynamics) is None:
             raise ModelError(
                 "only physics models can be planned for", got=model.name, fix="pass the model.json of greybox fit"
             )

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 from greybox.discovery.velocity import moving
 from greybox.errors import GreyboxError
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
+from greybox.model.layer import physics_of
 from greybox.model.model import PhysicsModel, build_model
-from greybox.model.sensor_noise import white
+from greybox.model.noise import Augmented
+from greybox.model.sensors import on_clock
 from greybox.model.vehicle import Vehicle
 
 TOGETHER = (("motor_lag", "command_delay"),)
@@ -23,8 +25,8 @@ TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
 IN_OTHER_WORDS = {"command_delay": ("sensor_delay", "pose_delay")}
 """The same thing said otherwise: where all sensors are late by as much, no log tells that from late commands."""
-INERTIAL = {"gyro", "accelerometer"}
-LATE_ALIKE = ((INERTIAL, "sensor_delay"), ({"position", "velocity", "attitude"}, "pose_delay"))
+INERTIAL = frozenset(on_clock("imu"))
+LATE_ALIKE = ((INERTIAL, "sensor_delay"), (frozenset(on_clock("pose")), "pose_delay"))
 """Where nothing but these sensors is logged, their delay is the same thing as one of the commands."""
 LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""
@@ -37,7 +39,7 @@ class Candidates:
     those of known effects; `unjudged` maps an effect to the reason why the log cannot judge it; `moving` are those
     without which the log feels no velocity (drags, where neither position nor velocity is measured)."""
 
-    model: PhysicsModel
+    model: PhysicsModel | Augmented
     parameters: Mapping[str, tuple[str, ...]]
     null: Mapping[str, float]
     core: tuple[str, ...]
@@ -49,10 +51,16 @@ class Candidates:
         """The candidates in the order of the catalogue."""
         return tuple(self.parameters)
 
+    @cached_property
+    def physics(self) -> PhysicsModel:
+        """The model without noise states."""
+        physics = physics_of(self.model)
+        assert physics is not None, "candidates are effects of a physics model"
+        return physics
+
     @property
     def _sensors(self) -> frozenset[str]:
-        model: Any = white(self.model)
-        return model.sensor_names
+        return self.physics.sensor_names
 
     @property
     def blind(self) -> bool:
@@ -69,11 +77,10 @@ class Candidates:
     @property
     def lags(self) -> frozenset[str]:
         """Candidates that bring rotors with a lag, where none is known."""
-        effects: Any = white(self.model).effects  # type: ignore[attr-defined]
-        late = {e.name for e in effects if "lag" in e.early}
+        late = {e.name for e in self.physics.effects if "lag" in e.early}
         return frozenset(late) if late <= set(self.parameters) else frozenset()
 
-    def only(self, effects: Iterable[str]) -> PhysicsModel:
+    def only(self, effects: Iterable[str]) -> PhysicsModel | Augmented:
         """The model that holds the known effects and some of the candidates."""
         chosen = set(effects)
         return self.model.without_effect(*(n for n in self.parameters if n not in chosen))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from greybox.discovery.leftover import Promoted
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.sensor_noise import coloured, suspicious, tested
 from greybox.estimation.fit import Fit
-from greybox.model.disturbance import Disturbed
+from greybox.model.noise import Augmented, Disturbance, disturbances
 
 PLAINLY = 0.01
 """Level above which innovations that were not white count as cured: one that trembles about a limit is not."""
@@ -35,7 +34,7 @@ def may_carry(leftover: Promoted) -> bool:
 def with_states(nest: Nest, groups: Iterable[str]) -> Nest:
     """The same candidates on a model with disturbance states of `groups`, whose time constants are free in every fit."""
     offered, chosen = nest.candidates, tuple(groups)
-    model: Any = Disturbed(inner=offered.model, groups=chosen)
+    model = Augmented(core=offered.model, parts=tuple(Disturbance(group=g) for g in chosen))
     core = (*offered.core, *(f"disturbance.{g}.T" for g in chosen))
     return replace(nest, candidates=replace(offered, model=model, core=core), recent=[])
 
@@ -43,8 +42,7 @@ def with_states(nest: Nest, groups: Iterable[str]) -> Nest:
 def carried(nest: Nest, at: NestedFit, leftover: Promoted) -> tuple[Nest, NestedFit] | None:
     """The candidates on a model with the disturbance states of the `leftover` of `at`, and the fit of `at` there; None where
     that finds no optimum that is likelier than `at`."""
-    states: Any = leftover.fit.model.dynamics
-    again = with_states(nest, states.groups)
+    again = with_states(nest, [d.group for d in disturbances(leftover.fit.model.dynamics)])
     problem = leftover.fit.problem
     levels = {
         (u.name, u.flight): float(t) for u, t in zip(problem.unknowns, leftover.fit.theta, strict=True)
@@ -73,7 +71,7 @@ def whitens(before: Fit, after: Fit) -> bool:
 
 def is_carried(found: Fit) -> bool:
     """Whether the model of `found` has disturbance states."""
-    return isinstance(found.model.dynamics, Disturbed)
+    return bool(disturbances(found.model.dynamics))
 
 
 def memories(found: Fit, leftover: Promoted) -> dict[str, float]:

@@ -45,7 +45,7 @@ def said_shorter(nest: Nest, at: NestedFit, found: Refit) -> Refit | None:
     if not set(found.effects) | set(nest.candidates.parameters) >= THREE:
         return None
     late = {n: found.theta.get((f"{n}.d", None), 0.0) for n in THREE}
-    brief = SHORT * nest.candidates.model.sample_time
+    brief = SHORT * nest.candidates.physics.sample_time
     had = THREE & set(found.effects)
     if had == {IMU, POSE} and late[IMU] >= brief and late[POSE] >= late[IMU] - brief:
         gone, new, kept, shift = IMU, COMMAND, POSE, -late[IMU]

@@ -23,12 +23,12 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.discovery.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown, flying_model
-from greybox.discovery.name import CLEAR
 from greybox.errors import GreyboxError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
+from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
 OTHERS = 3
@@ -48,7 +48,7 @@ class Separation:
     @property
     def seconds_to_clear(self) -> float:
         """Time to BIC 10 [s]."""
-        return float("inf") if self.expected <= 0 else self.seconds * 0.5 * CLEAR / self.expected
+        return float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""

@@ -3,14 +3,13 @@
 A low-pass looks like a motor lag or a delay to everything but the pose, which it does not touch. It competes with the
 effects of timing before one of them is named (`filtered_imu`), is asked once more when all names are there
 (`filtered_after_all`), and goes again where they do without it (`unfiltered`). The model of the filter is a kind of
-`greybox.model.sensor_noise`.
+`greybox.model.noise`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,25 +17,26 @@ from greybox.discovery.candidates import TIMING
 from greybox.discovery.leftover import ENOUGH, disturbed
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit, Task
 from greybox.discovery.screen import Key, Score
-from greybox.discovery.sensor_noise import CLEAR, parts_of, suspicious, with_parts
+from greybox.discovery.sensor_noise import suspicious, with_parts
 from greybox.discovery.veto import HALF
-from greybox.model.sensor_noise import NoisePart, white
+from greybox.model.noise import LowPass, sensor_parts
+from greybox.model.sensors import SENSORS, on_clock
+from greybox.statistics.evidence import CLEAR
 
 DELAYS = ("sensor_delay", "pose_delay")
 """Those of `TIMING` that nothing but a filter tells from one on slow signals."""
-IMU = ("p", "q", "r", "ax", "ay", "az")
+IMU = tuple(x.name for s in SENSORS if s.name in on_clock("imu") for x in s.innovation_signals(None))
 """Innovations of gyro and accelerometer."""
 FILTER = 0.004
 """Start value of the filter's time constant [s]."""
 
 
-def _imu_filters(nest: Nest) -> tuple[NoisePart, ...]:
+def _imu_filters(nest: Nest) -> tuple[LowPass, ...]:
     """Filters of gyro and accelerometer that the model could have; none where it has them already."""
-    physics: Any = white(nest.candidates.model)
-    if any(p.kind == "low_pass" for p in parts_of(nest.candidates.model)):
+    if any(p.filters for p in sensor_parts(nest.candidates.model)):
         return ()
-    sensors = physics.sensor_names
-    return tuple(NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer") if s in sensors)
+    sensors = nest.candidates.physics.sensor_names
+    return tuple(LowPass(sensor=s, time=FILTER) for s in ("gyro", "accelerometer") if s in sensors)
 
 
 def _likeliest(nest: Nest, tasks: Sequence[Task], held: float) -> Refit | None:
@@ -54,7 +54,7 @@ def filtered_imu(nest: Nest, at: NestedFit, rival: NestedFit) -> tuple[Nest, Nes
     parts = _imu_filters(nest)
     if not parts:
         return None
-    filtered = with_parts(nest, (*parts_of(nest.candidates.model), *parts))
+    filtered = with_parts(nest, (*sensor_parts(nest.candidates.model), *parts))
     # A filter delays slow signals by its time constant; noise levels of the better fit are the nearer start.
     late = rival.fit.parameters["sensor_delay.d"].value if "sensor_delay" in rival.effects else FILTER
     first: dict[tuple[str, str | None], float] = {(f"{p.name}.T", None): max(late, 0.25 * FILTER) for p in parts}
@@ -111,7 +111,7 @@ def filtered_after_all(plain: Nest, at: NestedFit) -> tuple[Nest, NestedFit, dic
     timed, parts = [e for e in at.effects if e in TIMING], _imu_filters(plain)
     if not parts or plain.candidates.blind or not any(n in IMU for n in suspicious(at.fit)):
         return None
-    filtered = with_parts(plain, (*parts_of(plain.candidates.model), *parts))
+    filtered = with_parts(plain, (*sensor_parts(plain.candidates.model), *parts))
     known: dict[Key, float] = {
         (u.name, u.flight): float(t) for u, t in zip(at.fit.problem.unknowns, at.fit.theta, strict=True)
         if u.kind == "parameter" and u.name.split(".")[0] in timed

@@ -17,7 +17,7 @@ from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
-from greybox.model.model import PhysicsModel
+from greybox.model.layer import physics_of
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray
 
@@ -100,10 +100,10 @@ LIBRARY = (
 
 def flying_model(model: IdentifiedModel) -> IdentifiedModel:
     """A model with all states, that can be flown, with the same parameters: `model` itself unless its log was blind."""
-    physics = model.physics
-    if "position" in {n.split(".")[0] for n in model.dynamics.states.names} or not isinstance(physics, PhysicsModel):
+    physics = physics_of(model.dynamics)
+    if "position" in {n.split(".")[0] for n in model.dynamics.states.names} or physics is None:
         return model
-    whole = replace(physics, sensors=(*physics.sensors, *(s for s in SENSORS[:4] if s not in physics.sensors)))
+    whole = replace(physics, sensors=(*physics.sensors, *(s for s in SENSORS if s.shows and s not in physics.sensors)))
     return replace(model, dynamics=whole)
 
 

@@ -18,9 +18,8 @@ from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
 from greybox.discovery.clocks import SHORT, in_other_words, said_shorter
 from greybox.discovery.nested import FINE, ROOM, SHARES, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
+from greybox.statistics.evidence import CLEAR
 
-CLEAR = 10.0
-"""BIC difference above which one model is said to beat another."""
 PLAIN = 0.1
 """Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
 as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold
@@ -137,7 +136,7 @@ def _same_within_a_sample(nest: Nest, found: Refit, new: tuple[str, ...], gaps: 
     """Equal rivals where what was found is a time much shorter than a sample: lag and delay of the command in any case, and
     what is not far behind; `gaps`: rival -> BIC behind."""
     times = [abs(v) for (n, _), v in found.theta.items() if n.split(".")[0] in new]
-    if len(new) != 1 or new[0] not in TIMING or max(times, default=np.inf) >= SHORT * nest.candidates.model.sample_time:
+    if len(new) != 1 or new[0] not in TIMING or max(times, default=np.inf) >= SHORT * nest.candidates.physics.sample_time:
         return {}
     # Next to a lag that is known or found already, a delay is no other word for it.
     free = [p for p in TOGETHER if set(p) & set(found.effects) == set(new) and set(p) <= set(nest.candidates.parameters)]

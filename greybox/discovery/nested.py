@@ -14,7 +14,6 @@ import concurrent.futures
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -33,16 +32,15 @@ from greybox.estimation.problem import Problem, Value, few_samples, make_problem
 from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import with_physics
 from greybox.model.model import PhysicsModel
-from greybox.model.sensor_noise import SensorNoise
+from greybox.model.noise import Augmented
+from greybox.statistics.blocks import BLOCK_SECONDS, block_samples
 from greybox.symbolic import CASADI, FloatArray
 
-BLOCK_SECONDS = 0.5
-"""Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
 BLOCKS = 64
 """Blocks that there should be, in short flights of a shorter length: their scores are a metric of up to six directions,
 which few blocks hardly know."""
@@ -81,7 +79,7 @@ class Task:
     those of the solver."""
 
     effects: tuple[str, ...]
-    model: PhysicsModel
+    model: PhysicsModel | Augmented
     options: FitOptions
     starts: tuple[Mapping[Key, float], ...]
     tolerance: float = TOLERANCE
@@ -214,12 +212,10 @@ def _onwards(task: Task, found: Refit, bic: float) -> Task:
     )  # fmt: skip
 
 
-def _canonical(model: Any) -> Any:
+def _canonical(model: PhysicsModel | Augmented) -> PhysicsModel | Augmented:
     """The model with the catalogue's own effect objects: what came over the wire then shares one build."""
-    if isinstance(model, SensorNoise | Disturbed):
-        return replace(model, inner=_canonical(model.inner))
     own = {type(e): e for e in CATALOGUE}
-    return replace(model, effects=tuple(own.get(type(e), e) for e in model.effects))
+    return with_physics(model, lambda m: replace(m, effects=tuple(own.get(type(e), e) for e in m.effects)))
 
 
 def _prepare(task: Task, data: Dataset) -> None:
@@ -388,7 +384,7 @@ class Nest:
                 per_flight=self.options.per_flight, apart=whole if late else None,
             )  # fmt: skip
             seconds = sum(r.n for r in problem.records) * problem.dt
-            block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
+            block = block_samples(problem.dt, min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)))
             value = problem.evaluate(theta, scores=block)
             tested = screen(
                 problem, value, names, alpha=alpha, draws=draws, seed=seed, samples=block,

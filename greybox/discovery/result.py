@@ -123,7 +123,7 @@ class Discovery:
     @property
     def final_effects(self) -> tuple[Effect, ...]:
         """Effects of the improved model."""
-        return tuple(getattr(self.model.physics, "effects", ()))
+        return self.model.physics.effects
 
     def unnamed(self) -> list[dict[str, Any]]:
         """Axes that miss something which no catalogue effect explains; where it has a law, with the file that holds it."""

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from greybox.chi_square import log_tail
 from greybox.discovery.burst import FEW, effective_blocks, information, overdispersion
 from greybox.estimation.problem import Block, Problem, Value
+from greybox.statistics.chi_square import log_tail
 from greybox.symbolic import FloatArray
 
 Key = tuple[str, str | None]

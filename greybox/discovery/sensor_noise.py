@@ -1,6 +1,6 @@
 """Sensor noise: which sensors are not white, and how; compared like effects, before anything that is left is called physics.
 
-Every kind of `greybox.model.sensor_noise` is a model of its own, fitted through the predictor. Noise of a sensor stays in
+Every kind of `greybox.model.noise` is a model of its own, fitted through the predictor. Noise of a sensor stays in
 its channel; a force or torque reaches every channel that the motion couples. Noise states of all sensors and Gauss-Markov
 force and torque are fitted together, so that neither takes the other's place; a part stays where BIC is worse by more than
 10 without it. Whether the IMU filters what it measures is asked in `greybox.discovery.imu_filter`.
@@ -20,16 +20,26 @@ from greybox.discovery.candidates import Candidates
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
-from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
-from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.model.noise import (
+    Augmented,
+    Coloured,
+    Drift,
+    Line,
+    SensorPart,
+    disturbances,
+    sensor_parts,
+    with_white_sensors,
+)
+from greybox.model.noise import with_parts as augmented
+from greybox.model.sensors import SENSORS, on_clock
+from greybox.statistics.evidence import CLEAR
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
-CLEAR = 10.0
-"""BIC difference above which a kind of noise stays."""
-START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
+START = {s.name: s.colour_time for s in SENSORS if s.colour_time is not None}
 """Sensors whose noise may be coloured: start values of correlation times [s]."""
-WITNESS = {"accelerometer": {"velocity", "position"}, "gyro": {"attitude"}}
+WITNESS = {s.name: s.witnesses for s in SENSORS if s.witnesses}
 """Sensors whose colour cannot be told from force or torque unless one of these sees the motion too."""
 PREDICTABLE = 0.005
 """Share of an innovation's variance that its own past must explain for its sensor to be suspected."""
@@ -49,25 +59,20 @@ class Suspected:
     """Chosen noise `parts` (start values = estimates) with `gains` part name -> BIC without - BIC with, and the levels
     `noise` that they were found with."""
 
-    parts: tuple[NoisePart, ...]
+    parts: tuple[SensorPart, ...]
     gains: Mapping[str, float]
     noise: Mapping[str, float]
 
 
-def parts_of(dynamics: Any) -> tuple[NoisePart, ...]:
-    """The noise parts of a model, none where its sensors are white."""
-    dynamics = dynamics.inner if isinstance(dynamics, Disturbed) else dynamics
-    return dynamics.parts if isinstance(dynamics, SensorNoise) else ()
-
-
-def with_parts(nest: Nest, parts: Iterable[NoisePart]) -> Nest:
-    """The same candidates on a model with these parts. Time constants of filters are free in every fit, those of noise stay
-    at the start values of its part."""
+def with_parts(nest: Nest, parts: Iterable[SensorPart]) -> Nest:
+    """The same candidates on a model with these parts of its sensors and no others. Time constants of filters are free in
+    every fit, those of noise stay at the start values of its part."""
     chosen = tuple(parts)
     offered: Candidates = nest.candidates
-    filters = tuple(f"{p.name}.T" for p in chosen if p.kind == "low_pass")
+    filters = tuple(f"{p.name}.T" for p in chosen if p.filters)
     core = (*(n for n in offered.core if not n.startswith("low_pass.")), *filters)
-    model: Any = SensorNoise(inner=white(offered.model), parts=chosen)
+    every, physics = (*chosen, *disturbances(offered.model)), offered.physics
+    model = Augmented(core=physics, parts=every) if every else physics
     return replace(nest, candidates=replace(offered, model=model, core=core))
 
 
@@ -77,19 +82,17 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
     Physics is held at its estimates. Gains are those of a part at its level against white noise of the same variance,
     the other levels held: an upper bound. Parts that it does not settle are fitted without.
     """
-    had = parts_of(lean.model.dynamics)
+    had = sensor_parts(lean.model.dynamics)
     if not suspicious(lean):
         return None
-    physics: Any = white(lean.model.dynamics)
+    physics = lean.model.physics
     there = physics.sensor_names
     sensors = [s.name for s in physics.sensors if s.name in START and WITNESS.get(s.name, there) & there]
-    parts = tuple(NoisePart(sensor=s, kind="coloured", time=START[s]) for s in sensors)
+    parts: tuple[SensorPart, ...] = tuple(Coloured(sensor=s, time=START[s]) for s in sensors)
     if "gyro" in sensors:
-        parts = (*parts, NoisePart(sensor="gyro", kind="drift"))
-    parts += tuple(
-        NoisePart(sensor=s, kind="line", time=LINE, frequency=f)
-        for s in sensors if (f := _line(lean, s)) is not None
-    )  # fmt: skip
+        parts = (*parts, Drift(sensor="gyro"))
+    lines = {s: _line(lean, s) for s in sensors}
+    parts += tuple(Line(sensor=s, time=LINE, frequency=f) for s, f in lines.items() if f is not None)
     best = _coloured(had, parts, data, lean, lean)
     gains = {p.name: _gain(best, p) for p in parts}
     while parts and min(gains.values()) <= CLEAR:
@@ -104,7 +107,7 @@ def coloured_sensors(lean: Fit, data: Dataset) -> Suspected | None:
             return None
         best = _coloured(had, parts, data, lean, best)
         gains = {p.name: _gain(best, p) for p in parts}
-    found = tuple(replace(p, time=_time(best, p), frequency=_frequency(best, p)) for p in parts)
+    found = tuple(p.estimated(best.model.values) for p in parts)
     levels = {n: v for n, v in noise_of(best.model).items() if not n.startswith("noise.process.disturbance.")}
     return Suspected(parts=(*had, *found), gains=gains, noise=levels)
 
@@ -120,11 +123,10 @@ def dressed(nest: Nest, at: NestedFit, noise: Suspected) -> tuple[Nest, NestedFi
 
 def plain_model(found: Fit, data: Dataset) -> IdentifiedModel:
     """The model of `found` with white sensors, as model files hold it: its estimates, and levels fitted for them."""
-    own: Any = found.model.dynamics
-    if not parts_of(own):
+    own = found.model.dynamics
+    if not sensor_parts(own):
         return found.model
-    physics: Any = found.model.physics
-    dynamics = replace(own, inner=physics) if isinstance(own, Disturbed) else physics
+    dynamics = with_white_sensors(own)
     there = {d.name for d in dynamics.parameters}
     per_flight = [n for n in found.settings["per_flight"] if n in there]
     free = [n for n in found.model.flight_spread if n in there]
@@ -169,41 +171,29 @@ def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]
     it) of a low-pass; `delay` [s] of sensor_delay and pose_delay, which are named effects as well. `delta_bic` is that of
     the whole part (all channels of its sensor; a filter's is that of gyro and accelerometer together), None for white.
     """
-    dynamics: Any = fitted.model.dynamics
     noise = {n: v for n, (v, _, _) in fitted.noise.items()}
     values, dt = fitted.model.values, fitted.model.sample_time
     out: list[dict[str, Any]] = []
-    physics = white(dynamics)
-    for sensor in physics.sensors:  # type: ignore[attr-defined]
-        channels = [s.name for s in sensor.innovation_signals(physics.vehicle)]  # type: ignore[attr-defined]
+    physics, parts = fitted.model.physics, sensor_parts(fitted.model.dynamics)
+    for sensor in physics.sensors:
+        channels = [s.name for s in sensor.innovation_signals(physics.vehicle)]
         for c in channels:
             out.append(_entry(c, "white", {"sigma": noise.get(f"noise.sensor.{c}")}, None))
-        for part in parts_of(dynamics):
+        for part in parts:
             if part.sensor != sensor.name:
                 continue
             for c in channels:
                 level = noise.get(f"noise.process.{part.name}.c.{c.split('.')[-1]}", 0.0)
-                numbers: dict[str, float | None]
-                if part.kind == "low_pass":
-                    time = float(values[f"{part.name}.T"])
-                    numbers = {"T": time, "cutoff": 1 / (2 * np.pi * time), "sigma": level}
-                elif part.kind == "drift":
-                    numbers = {"sigma": level / np.sqrt(dt)}
-                else:
-                    time = float(values[f"{part.name}.T"])
-                    numbers = {"sigma": level / np.sqrt(1 - np.exp(-2 * dt / time)), "T": time}
-                    if part.kind == "line":
-                        numbers["frequency"] = float(values[f"{part.name}.f"])
-                out.append(_entry(c, part.kind, numbers, gains.get(part.name)))
+                out.append(_entry(c, part.kind, part.described(level, values, dt), gains.get(part.name)))
     for effect, late in (
-        ("pose_delay", ("position", "velocity", "attitude")),
-        ("sensor_delay", ("gyro", "accelerometer")),
+        ("pose_delay", on_clock("pose")),
+        ("sensor_delay", on_clock("imu")),
     ):
-        if effect not in {e.name for e in physics.effects}:  # type: ignore[attr-defined]
+        if effect not in {e.name for e in physics.effects}:
             continue
-        for sensor in physics.sensors:  # type: ignore[attr-defined]
+        for sensor in physics.sensors:
             if sensor.name in late:
-                for s in sensor.innovation_signals(physics.vehicle):  # type: ignore[attr-defined]
+                for s in sensor.innovation_signals(physics.vehicle):
                     numbers = {"delay": float(values[f"{effect}.d"])}
                     out.append(_entry(s.name, "delay", numbers, gains.get(effect)))
     return out
@@ -213,13 +203,13 @@ def _entry(channel: str, kind: str, parameters: Mapping[str, float | None], gain
     return {"channel": channel, "kind": kind, "parameters": dict(parameters), "delta_bic": gain}
 
 
-def _coloured(had: Sequence[NoisePart], parts: Sequence[NoisePart], data: Dataset, lean: Fit, start: Fit) -> Fit:
+def _coloured(had: Sequence[SensorPart], parts: Sequence[SensorPart], data: Dataset, lean: Fit, start: Fit) -> Fit:
     """Levels and time constants of `parts` and of Gauss-Markov force and torque, physics held at `lean`."""
-    inner: Any = white(lean.model.dynamics)
-    dynamics: Any = SensorNoise(inner=inner, parts=(*had, *parts)) if (*had, *parts) else inner
-    groups = tuple(g for g in ("force", "torque") if any(n.startswith(g + ".") for n in inner.noises.names))
-    free = [f"disturbance.{g}.T" for g in groups] + [f"{p.name}.T" for p in parts if p.kind != "drift"]
-    free += [f"{p.name}.f" for p in parts if p.kind == "line"]
+    physics = lean.model.physics
+    dynamics = augmented(physics, (*had, *parts))
+    groups = tuple(g for g in ("force", "torque") if any(n.startswith(g + ".") for n in physics.noises.names))
+    free = [f"disturbance.{g}.T" for g in groups]
+    free += [f"{p.name}.{q}" for q in ("T", "f") for p in parts if q in p.quantities]
     names = {f"noise.process.{n}" for n in dynamics.noises.names}
     names |= {f"noise.process.disturbance.{n}" for n in dynamics.noises.names if n.split(".")[0] in groups}
     known = {n: v for n, v in noise_of(start.model).items() if n.startswith("noise.sensor.") or n in names}
@@ -231,26 +221,18 @@ def _coloured(had: Sequence[NoisePart], parts: Sequence[NoisePart], data: Datase
     )  # fmt: skip
 
 
-def _known(start: Fit, dynamics: Any) -> dict[str, float]:
+def _known(start: Fit, dynamics: Dynamics) -> dict[str, float]:
     there = {d.name for d in dynamics.parameters}
     return {n: float(v) for n, v in start.model.values.items() if n in there}
 
 
-def _components(fitted: Fit, part: NoisePart) -> list[str]:
-    """Innovation components of the part's sensor."""
-    physics: Any = fitted.model.physics
+def _components(fitted: Fit, name: str) -> list[str]:
+    """Innovation components of the sensor of that name."""
+    physics = fitted.model.physics
     return [
-        s.name for sensor in physics.sensors if sensor.name == part.sensor
+        s.name for sensor in physics.sensors if sensor.name == name
         for s in sensor.innovation_signals(physics.vehicle)
     ]  # fmt: skip
-
-
-def _time(fitted: Fit, part: NoisePart) -> float:
-    return part.time if part.kind == "drift" else float(fitted.model.values[f"{part.name}.T"])
-
-
-def _frequency(fitted: Fit, part: NoisePart) -> float:
-    return float(fitted.model.values[f"{part.name}.f"]) if part.kind == "line" else part.frequency
 
 
 def _line(fitted: Fit, sensor: str) -> float | None:
@@ -260,7 +242,7 @@ def _line(fitted: Fit, sensor: str) -> float | None:
     125); those of the sensor's components and of all records are added.
     """
     names = list(fitted.model.dynamics.innovations.names)
-    rows = [names.index(n) for n in _components(fitted, NoisePart(sensor=sensor, kind="line"))]
+    rows = [names.index(n) for n in _components(fitted, sensor)]
     records = [np.nan_to_num(e[:, rows]) for es in fitted.innovations.values() for e in es]
     length = min((len(e) for e in records if len(e) > 4 * LAGS), default=0)
     records = [e[:length] for e in records if length and len(e) >= length]
@@ -277,13 +259,12 @@ def _line(fitted: Fit, sensor: str) -> float | None:
     return float((best + 1) / (length * fitted.model.sample_time))
 
 
-def _gain(fitted: Fit, part: NoisePart) -> float:
+def _gain(fitted: Fit, part: SensorPart) -> float:
     """How much BIC loses when the part's noise is white instead, or is not there at all, whichever is better."""
     problem, theta = fitted.problem, fitted.theta
     silent, whitened = theta.copy(), theta.copy()
-    decay = 0.0 if part.kind == "drift" else float(np.exp(-2 * problem.dt / _time(fitted, part)))
-    count = 0
-    for component in _components(fitted, part):
+    renewed, count = part.renewed(fitted.model.values, problem.dt), 0
+    for component in _components(fitted, part.sensor):
         end = component.split(".")[-1]
         levels = [problem.place(f"noise.process.{part.name}.{letter}.{end}") for letter in ("c", "s")]
         plain = problem.place(f"noise.sensor.{component}")
@@ -295,8 +276,8 @@ def _gain(fitted: Fit, part: NoisePart) -> float:
                 trial[at] = max(problem.lower[at], theta[at] - SILENT)
         own = levels[0]
         if plain is not None and own is not None:
-            variance = np.exp(2 * theta[own]) / (1 - decay)
+            variance = np.exp(2 * theta[own]) / renewed
             whitened[plain] = 0.5 * np.log(np.exp(2 * theta[plain]) + variance)
-    free = count + {"drift": 0, "line": 2}.get(part.kind, 1)
+    free = count + len(part.quantities)
     best = min(problem.evaluate(t, 0).likelihood for t in (silent, whitened))
     return float(2 * (best + fitted.loglik) - free * np.log(max(fitted.n_samples, 1)))

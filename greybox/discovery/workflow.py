@@ -94,7 +94,7 @@ def discover(
         vehicle, train.channels, own=options.own, sample_time=sample_time(train), noncausal=train.noncausal,
         kinematic_noise=options.kinematic_noise,
     )  # fmt: skip
-    settings["sample_time"] = offered.model.sample_time
+    settings["sample_time"] = offered.physics.sample_time
     fixed = set(options.fixed)
     if wrong := {*options.per_flight, *fixed} - {d.name for d in offered.model.parameters}:
         raise UnknownNameError("parameter", min(wrong), [d.name for d in offered.model.parameters])
@@ -111,12 +111,12 @@ def discover(
 
     def interim(now: NestedFit, found: Iterable[Addition]) -> None:
         # A model file has white noise: what was saved without other noise models stands until the end.
-        if save is not None and now.fit.model.dynamics is now.fit.model.physics:
+        if save is not None and now.fit.model.dynamics is now.fit.model.core:
             save(
                 Discovery(
                     verdict=_verdict(found, None), additions=tuple(found), fit=now.fit, final=now,
                     unjudged=offered.unjudged, warnings=("the search was stopped before its end",),
-                    omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+                    omega_known=offered.physics.omega_known, seconds=time.perf_counter() - began, settings=settings,
                     errors=_errors(held_out, now, tuple(found)),
                 )
             )  # fmt: skip
@@ -210,7 +210,7 @@ def discover(
         before=before, gap=rows,
         gap_on="test" if judged is not train else "train", unjudged=skipped, last_scores=tuple(scores),
         minimum_detectable=_detectable(scores, alpha), faults=(), warnings=(*warnings, *otherwise),
-        omega_known=offered.model.omega_known, seconds=time.perf_counter() - began, settings=settings,
+        omega_known=offered.physics.omega_known, seconds=time.perf_counter() - began, settings=settings,
         spectrum=spectrum(null.fit, at.fit), tested_on=tuple(judged.names) if judged is not train else (),
         withheld=tuple(withheld), separating=separating, errors=_errors(held_out, null, additions),
         plain=plain, lawful=lawful, stability=tuple(steady),

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
-from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured, scaled_inverse
+from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -25,10 +25,13 @@ from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.estimation.unknown import Unknown
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
+from greybox.statistics.blocks import block_samples
+from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import BoolArray, FloatArray
 
 __all__ = ["Estimate", "Fit", "FitOptions", "fit", "member", "noise_of"]
@@ -62,8 +65,7 @@ def fit(
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
-    groups = options.disturbance
-    dynamics: Dynamics = Disturbed(inner=model, groups=groups) if groups else model
+    dynamics = with_disturbance(model, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     first: Fit | None = None
     if options.initialisation == "innovation":
@@ -139,7 +141,7 @@ def _finish(
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
     # predictor that looks further ahead.
     ahead = max(problem.predictor.horizons)
-    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
+    block = max(block_samples(problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
     precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])
@@ -306,12 +308,11 @@ def _between(numbers: FloatArray) -> float:
 
 def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[str, tuple[float, float]]:
     """Derived parameters with standard errors by the delta method (per-flight ones for each flight)."""
-    inner = problem.dynamics
-    make = getattr(inner, "derived", None)
-    if make is None:
+    physics = physics_of(problem.dynamics)
+    if physics is None:
         return {}
     p = ca.SX.sym("p", len(problem.dynamics.parameters))
-    table = make(p)
+    table = physics.derived(p)
     if not table:
         return {}
     vector = ca.vertcat(*table.values())

@@ -293,7 +293,7 @@ def stationary(
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
-    samples = Samples(values=values, q=q, r=r, slopes=slopes, dq=dq, dr=dr, lost=lost)
+    samples = SystemSamples(values=values, q=q, r=r, slopes=slopes, dq=dq, dr=dr, lost=lost)
     if slopes is None or dq is None or dr is None:
         return samples.at(p)
     gqd = (g * q) @ d.T
@@ -313,7 +313,7 @@ def stationary(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Samples:
+class SystemSamples:
     """Linear system seen sample by sample: what gains need, from the covariance of the predicted state there.
 
     values (A, G, C, D), q, r, slopes, dq, dr, lost as in `stationary`. N and S are P times something and what does not

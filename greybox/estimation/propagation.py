@@ -8,7 +8,7 @@ Linearised along the predicted path, in the error state d of the model:
 
 An error of the learned function or of a parameter is the same at every step of one prediction, so it is carried as a
 consider state (Schmidt 1966) and not as fresh noise per step, which would average it out. What the model does not explain
-and is correlated in time is a state of `Disturbed`, with its own covariance in S. G is that of the model's reference point:
+and is correlated in time is a state of `Augmented`, with its own covariance in S. G is that of the model's reference point:
 in the error state it hardly depends on the path.
 """
 
@@ -26,7 +26,9 @@ from greybox.errors import FitError
 from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import transitions
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import learned_push_of
 from greybox.symbolic import FloatArray, evaluate
 
 
@@ -157,12 +159,13 @@ class _Learned:
         return np.sqrt(np.maximum(evaluate(self.function, states, windows), 0.0))
 
 
-def _learned_spread(dynamics: Any) -> _Learned | None:
-    """What a hybrid offers as `learned_variance` and `learned_rows`; None for a model without a learned part."""
-    if not hasattr(dynamics, "learned_variance"):
+def _learned_spread(dynamics: Dynamics) -> _Learned | None:
+    """Standard deviation of the learned push; None for a model without a learned part."""
+    learned = learned_push_of(dynamics)
+    if learned is None:
         return None
     past, future = dynamics.window
     x = ca.MX.sym("x", len(dynamics.states))
     window = ca.MX.sym("U", len(dynamics.inputs), past + 1 + future)
-    variance = ca.densify(dynamics.learned_variance(x, window))
-    return _Learned(function=ca.Function("spread", [x, window], [variance]), rows=list(dynamics.learned_rows))
+    variance = ca.densify(learned.learned_variance(x, window))
+    return _Learned(function=ca.Function("spread", [x, window], [variance]), rows=list(learned.learned_rows))

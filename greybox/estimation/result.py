@@ -15,6 +15,7 @@ from greybox.estimation.problem import Problem
 from greybox.estimation.status import Status
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.fit/1"
@@ -234,12 +235,13 @@ class Fit:
     def to_dict(self) -> dict[str, Any]:
         """The content of fit.json (schema "greybox.fit/1")."""
         d = self.model.dynamics
+        physics = physics_of(d)
         return {
             "schema": SCHEMA,
             "model": {
                 "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
                 "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
-                "omega_known": getattr(self.model.physics, "omega_known", True),
+                "omega_known": physics is None or physics.omega_known,
             },
             "settings": dict(self.settings),
             "status": self.status.to_dict(),

@@ -24,13 +24,13 @@ from greybox.errors import FitError
 from greybox.estimation.channel_pattern import Pattern
 from greybox.estimation.elements import Element, System
 from greybox.estimation.engine import GainTable, IntArray
-from greybox.estimation.gain import Riccati, Samples, extended, smith, stationary
+from greybox.estimation.gain import Riccati, SystemSamples, extended, smith, stationary
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import Record
 from greybox.symbolic import BoolArray, FloatArray
 
 FIRST = 8
-"""Samples at the start whose covariances are followed one by one."""
+"""SystemSamples at the start whose covariances are followed one by one."""
 STRETCHES = 2
 """Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth about its middle."""
 PHASES = 1
@@ -47,7 +47,7 @@ NOTHING = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """Samples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
+    """SystemSamples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
 
     begin: int
     end: int
@@ -55,7 +55,7 @@ class Stretch:
 
 
 def one_by_one(length: int) -> int:
-    """Samples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
+    """SystemSamples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
     return -(-FIRST // length) * length
 
 
@@ -173,8 +173,8 @@ class Settling:
     # ------------------------------------------------------------ covariances
 
     @cached_property
-    def _samples(self) -> Samples:
-        return Samples(
+    def _samples(self) -> SystemSamples:
+        return SystemSamples(
             values=self.values, q=self.q, r=self.r, slopes=self.slopes, dq=self.dq, dr=self.dr, lost=self.lost
         )  # fmt: skip
 

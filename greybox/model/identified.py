@@ -1,7 +1,9 @@
-"""IdentifiedModel: what a fit leaves behind. Everything that validation, export and control need, and no raw data.
+"""IdentifiedModel: what a fit leaves behind. Everything that validation, export and control need,
+and no raw data.
 
-On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings from which the CasADi
-expressions are rebuilt exactly, estimates with covariance, noise levels, training domain, data hash and a checksum.
+On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings from
+which the CasADi expressions are rebuilt exactly, estimates with covariance, noise levels, training
+domain, data hash and a checksum.
 """
 
 from __future__ import annotations
@@ -16,21 +18,24 @@ from typing import Any
 
 import numpy as np
 
-from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
+from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import Augmented, Disturbance, with_disturbance
 from greybox.model.parameter import ParameterValues
+from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
 SHORTEST_SAMPLE = 1e-5
-"""Sample time [s] below which a file is refused: a step sees as many commands as fit into the longest delay."""
+"""Sample time [s] below which a file is refused: a step sees as many commands as fit into the
+longest delay."""
 
 
 def library_versions() -> dict[str, str]:
@@ -48,13 +53,14 @@ def library_versions() -> dict[str, str]:
 class IdentifiedModel:
     """A fitted Dynamics with estimates, their covariance and the noise levels of its filter.
 
-    `values` holds every model parameter (per-flight ones at their mean over the training flights), `per_flight` the
-    values of each training flight, `flight_spread` name -> (mean, standard deviation between flights). `covariance`
-    belongs to `covariance_names` (shared parameters). `process_noise` (n_w) and `sensor_noise` (n_e) are standard
-    deviations per sample of `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak`
-    (n_d) are the standard deviations of the pseudo-measurement that keeps undetectable states finite. `horizon_noise`
-    (n_w) replaces `process_noise` where uncertainty is propagated without measurements (calibrated on multi-step errors);
-    None: the same.
+    `values` holds every model parameter (per-flight ones at their mean over the training flights),
+    `per_flight` the values of each training flight, `flight_spread` name -> (mean, standard
+    deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
+    `process_noise` (n_w) and `sensor_noise` (n_e) are standard deviations per sample of
+    `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
+    are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
+    `horizon_noise` (n_w) replaces `process_noise` where uncertainty is propagated without
+    measurements (calibrated on multi-step errors); None: the same.
     """
 
     dynamics: Dynamics
@@ -83,20 +89,39 @@ class IdentifiedModel:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects of a physics model."""
-        return tuple(e.name for e in getattr(self.physics, "effects", ()))
+        physics = physics_of(self.dynamics)
+        return () if physics is None else tuple(e.name for e in physics.effects)
 
     @property
     def sensors(self) -> frozenset[str]:
         """Names of the sensors of a physics model."""
-        return getattr(self.physics, "sensor_names", frozenset())
+        physics = physics_of(self.dynamics)
+        return frozenset() if physics is None else physics.sensor_names
+
+    @property
+    def core(self) -> Dynamics:
+        """The innermost model: without noise states and learned parts."""
+        return innermost(self.dynamics)
 
     @cached_property
-    def physics(self) -> Any:
-        """The innermost model: without disturbance states and learned parts."""
-        dynamics: Any = self.dynamics
-        while hasattr(dynamics, "inner"):
-            dynamics = dynamics.inner
-        return dynamics
+    def physics(self) -> PhysicsModel:
+        """The innermost model of a vehicle. Raises `ModelError` for a model of another kind (see
+        `core`)."""
+        physics = physics_of(self.dynamics)
+        if physics is None:
+            raise ModelError(
+                f"{self.name} is not the model of a vehicle",
+                expected="a physics model",
+                got=type(self.core).__name__,
+            )
+        return physics
+
+    @property
+    def channel_groups(self) -> tuple[str, ...]:
+        """Channel group of every innovation component; its own name where the model has no
+        sensors."""
+        physics = physics_of(self.dynamics)
+        return self.dynamics.innovations.names if physics is None else physics.channel_groups
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
@@ -104,7 +129,8 @@ class IdentifiedModel:
         return np.array([values[d.name] for d in self.dynamics.parameters])
 
     def flight_vector(self, flight: str) -> FloatArray:
-        """p for a training flight (its own per-flight values), or the mean over flights for any other."""
+        """p for a training flight (its own per-flight values), or the mean over flights for any
+        other."""
         return self.parameter_vector(self.per_flight.get(flight))
 
     def with_values(self, changes: Mapping[str, float]) -> IdentifiedModel:
@@ -112,10 +138,12 @@ class IdentifiedModel:
         return replace(self, values=self.values.replace(changes))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values of the model file. Raises `ModelError` for a model that is not made of catalogue parts."""
-        physics = self.physics
-        core = self.dynamics.inner if isinstance(self.dynamics, Disturbed) else self.dynamics
-        if core is not physics:
+        """Plain values of the model file. Raises `ModelError` for a model that is not made of
+        catalogue parts."""
+        augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
+        physics = self.dynamics if augmented is None else augmented.core
+        parts = () if augmented is None else augmented.parts
+        if physics is not self.core:
             raise ModelError("a model with a learned part is saved by save_model", got=self.name)
         if not isinstance(physics, PhysicsModel):
             raise ModelError(
@@ -123,7 +151,17 @@ class IdentifiedModel:
                 got=type(physics).__name__,
                 fix="keep the Python code of a model of your own and save its values",
             )
-        disturbed = self.dynamics if isinstance(self.dynamics, Disturbed) else None
+        disturbed = [p for p in parts if type(p) is Disturbance]
+        if other := [p.name for p in parts if p not in disturbed]:
+            raise ModelError(
+                "a model file holds white noise of the sensors",
+                got=", ".join(other),
+                fix="fit the model without them",
+            )
+        if len({p.time for p in disturbed}) > 1:
+            raise ModelError(
+                "a model file holds one start value of all correlation times", got=self.name
+            )
         body = {
             "schema": SCHEMA,
             "kind": "physics",
@@ -135,22 +173,32 @@ class IdentifiedModel:
             "input": physics.input,
             "model_sample_time": physics.sample_time,
             "kinematic_noise": physics.kinematic_noise,
-            "disturbance": list(disturbed.groups) if disturbed else [],
-            "disturbance_time_constant": disturbed.time_constant if disturbed else None,
+            "disturbance": [p.group for p in disturbed],
+            "disturbance_time_constant": disturbed[0].time if disturbed else None,
             "omega_known": physics.omega_known,
             "sample_time": self.sample_time,
             "values": dict(self.values),
             "units": {d.name: d.unit for d in self.dynamics.parameters},
-            "covariance": {"names": list(self.covariance_names), "matrix": self.covariance.tolist()},
+            "covariance": {
+                "names": list(self.covariance_names),
+                "matrix": self.covariance.tolist(),
+            },
             "per_flight": {k: dict(v) for k, v in self.per_flight.items()},
             "flight_spread": {k: list(v) for k, v in self.flight_spread.items()},
-            "process_noise": dict(zip(self.dynamics.noises.names, self.process_noise.tolist(), strict=True)),
+            "process_noise": dict(
+                zip(self.dynamics.noises.names, self.process_noise.tolist(), strict=True)
+            ),
             "horizon_noise": None
             if self.horizon_noise is None
             else dict(zip(self.dynamics.noises.names, self.horizon_noise.tolist(), strict=True)),
-            "sensor_noise": dict(zip(self.dynamics.innovations.names, self.sensor_noise.tolist(), strict=True)),
+            "sensor_noise": dict(
+                zip(self.dynamics.innovations.names, self.sensor_noise.tolist(), strict=True)
+            ),
             "weak": self.weak.tolist(),
-            "reference": {"state": self.reference_state.tolist(), "inputs": self.reference_inputs.tolist()},
+            "reference": {
+                "state": self.reference_state.tolist(),
+                "inputs": self.reference_inputs.tolist(),
+            },
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
@@ -163,57 +211,88 @@ class IdentifiedModel:
         return write_json(path, self.to_dict())
 
     @staticmethod
-    def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
-        """Read a model file; `effects` are those of it that are not in the catalogue (`load_effects`).
+    def load(
+        path: str | os.PathLike[str],
+        *,
+        effects: Iterable[Effect] = (),
+        sensors: Iterable[Sensor] = (),
+    ) -> IdentifiedModel:
+        """Read a model file; `effects` and `sensors` are those of it that are not in the catalogues
+        (`load_effects`).
 
-        Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given), `VehicleError`,
-        `UnknownNameError`.
+        Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given),
+        `VehicleError`, `UnknownNameError`.
         """
-        return IdentifiedModel.from_dict(read_json(path, schema=SCHEMA), where=str(path), effects=effects)
+        return IdentifiedModel.from_dict(
+            read_json(path, schema=SCHEMA), where=str(path), effects=effects, sensors=sensors
+        )
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any], *, where: str = "model", effects: Iterable[Effect] = ()) -> IdentifiedModel:
+    def from_dict(
+        data: Mapping[str, Any],
+        *,
+        where: str = "model",
+        effects: Iterable[Effect] = (),
+        sensors: Iterable[Sensor] = (),
+    ) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
         if data.get("kind") == "hybrid":
-            raise FileFormatError("a model with a learned part", where=where, fix="read it with greybox.load_model")
+            raise FileFormatError(
+                "a model with a learned part", where=where, fix="read it with greybox.load_model"
+            )
         if data.get("kind") != "physics":
-            raise FileFormatError("unknown kind of model", where=where, expected="physics", got=repr(data.get("kind")))
+            raise FileFormatError(
+                "unknown kind of model", where=where, expected="physics", got=repr(data.get("kind"))
+            )
         body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
         if checksum(body) != data.get("checksum"):
             raise FileFormatError(
-                "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
+                "the checksum does not fit",
+                where=where,
+                fix="the file was edited or cut off; write it again",
             )
         try:
             for key in ("sample_time", "model_sample_time"):
                 if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
                     raise ValueError(f"{key} is {float(data[key]):g} s")
             vehicle = Vehicle.from_dict(data["vehicle"], where=where)
-            sensors = {s.name: s for s in SENSORS}
-            dynamics: Any = PhysicsModel(
+            known = {s.name: s for s in (*SENSORS, *sensors)}
+            if missing := [str(n) for n in data["sensors"] if n not in known]:
+                raise UnknownNameError("sensor", missing[0], known, where=where)
+            dynamics: Dynamics = PhysicsModel(
                 vehicle=vehicle,
-                effects=effects_of(data["effects"], data.get("own_effects", {}), effects, where=where),
-                sensors=tuple(sensors[n] for n in data["sensors"]),
+                effects=effects_of(
+                    data["effects"], data.get("own_effects", {}), effects, where=where
+                ),
+                sensors=tuple(known[n] for n in data["sensors"]),
                 input=data["input"],
                 sample_time=float(data["model_sample_time"]),
                 kinematic_noise=bool(data.get("kinematic_noise", False)),
             )
             if data["disturbance"]:
-                dynamics = Disturbed(
-                    inner=dynamics,
-                    groups=tuple(data["disturbance"]),
-                    time_constant=float(data["disturbance_time_constant"]),
-                )
+                time = float(data["disturbance_time_constant"])
+                dynamics = with_disturbance(dynamics, data["disturbance"], time=time)
             model = IdentifiedModel(
                 dynamics=dynamics,
-                values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(data["values"]),
+                values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
+                    data["values"]
+                ),
                 covariance_names=tuple(data["covariance"]["names"]),
                 covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
                     (len(data["covariance"]["names"]),) * 2
                 ),
-                per_flight={k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()},
-                flight_spread={k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()},
-                process_noise=np.array([float(data["process_noise"][n]) for n in dynamics.noises.names]),
-                sensor_noise=np.array([float(data["sensor_noise"][n]) for n in dynamics.innovations.names]),
+                per_flight={
+                    k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()
+                },
+                flight_spread={
+                    k: (float(v[0]), float(v[1])) for k, v in data["flight_spread"].items()
+                },
+                process_noise=np.array(
+                    [float(data["process_noise"][n]) for n in dynamics.noises.names]
+                ),
+                sensor_noise=np.array(
+                    [float(data["sensor_noise"][n]) for n in dynamics.innovations.names]
+                ),
                 weak=np.asarray(data["weak"], dtype=float),
                 horizon_noise=None
                 if data.get("horizon_noise") is None
@@ -227,10 +306,19 @@ class IdentifiedModel:
                 source=where,
             )
             _check(model)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            IndexError,
+            AttributeError,
+            ArithmeticError,
+        ) as error:
             if isinstance(error, GreyboxError):
                 raise
-            raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
+            raise FileFormatError(
+                f"incomplete or wrong ({error})", where=where, fix="write the file again"
+            ) from None
         return model
 
 
@@ -246,12 +334,22 @@ def _check(model: IdentifiedModel) -> None:
             raise ValueError(f"{what} has shape {value.shape}, expected ({size},)")
     levels = [model.process_noise, model.sensor_noise]
     levels += [] if model.horizon_noise is None else [model.horizon_noise]
-    for numbers in (*levels, model.weak, model.reference_state, model.reference_inputs, model.parameter_vector()):
+    for numbers in (
+        *levels,
+        model.weak,
+        model.reference_state,
+        model.reference_inputs,
+        model.parameter_vector(),
+    ):
         if not np.isfinite(numbers).all():
             raise ValueError("a number is not finite")
     if any((v < 0).any() for v in levels):
         raise ValueError("a noise level is negative")
-    names = [*model.covariance_names, *model.flight_spread, *(n for v in model.per_flight.values() for n in v)]
+    names = [
+        *model.covariance_names,
+        *model.flight_spread,
+        *(n for v in model.per_flight.values() for n in v),
+    ]
     for name in names:
         model.values[name]
     if len(set(model.covariance_names)) < len(model.covariance_names):

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
 from greybox.estimation.linear.fit import LinearFit, fit_linear
@@ -25,7 +26,8 @@ from greybox.estimation.linear.records import Record, split_at_missing
 from greybox.estimation.record import hold_missing
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
-from greybox.residual.base_predictor import BasePredictor
+from greybox.residual.base_predictor import RUN_IN, BasePredictor
+from greybox.residual.compare_scores import SPACING
 from greybox.residual.decoupled import Terms, combined
 from greybox.residual.kinematics import IMU, black_box_view, motion
 from greybox.residual.output_residual import OutputHybrid
@@ -36,14 +38,10 @@ from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.samples import BoolArray
-from greybox.validation.validate import START, validate
+from greybox.validation.validate import validate
 
-RUN_IN = 2.0
-"""Seconds without origins where nothing is adapted: filters forget their start."""
 LONGEST = 13
 """Samples after which every black box has its window full."""
-SPACING = 0.1
-"""Seconds between the origins of the multi-step table."""
 ORDER_SAMPLES = 6000
 """Samples on which the order of linear models is chosen; more would only take longer."""
 AXES: Mapping[str, str] = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
@@ -122,7 +120,7 @@ class Bench:
     @property
     def skip(self) -> float:
         """Seconds at the start of every segment without judged samples."""
-        return max(START, LONGEST * self.dt) if self.adapt is not None else RUN_IN
+        return max(START_SECONDS, LONGEST * self.dt) if self.adapt is not None else RUN_IN
 
     @cached_property
     def late(self) -> tuple[BoolArray, ...]:

@@ -20,9 +20,9 @@ from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.smoothing import smooth
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import disturbances
 from greybox.residual.features import feature_layout, features
 from greybox.symbolic import FloatArray, Layout, evaluate
 
@@ -59,7 +59,7 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
     A model that has disturbance states already is returned as it is. Shared physical parameters keep their estimates and
     covariance; per-flight ones are fitted along. Raises `ModelError` for a model whose noises are neither.
     """
-    if isinstance(model.dynamics, Disturbed):
+    if disturbances(model.dynamics):
         return model
     groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in model.dynamics.noises.names))
     if not groups:

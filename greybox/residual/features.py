@@ -24,13 +24,6 @@ from greybox.model.dynamics import Dynamics
 from greybox.symbolic import Expr, Layout, Signal
 
 
-def physics_of(dynamics: Dynamics) -> Dynamics:
-    """The innermost model: without disturbance states and learned parts."""
-    while hasattr(dynamics, "inner"):
-        dynamics = dynamics.inner
-    return dynamics
-
-
 def _blocks(dynamics: Dynamics) -> dict[str, list[int]]:
     """State block ("velocity") -> places of its components in the state vector."""
     out: dict[str, list[int]] = {}

@@ -1,8 +1,10 @@
-"""HybridModel: a Dynamics plus a learned push, x+ = f(x, u, w + g(z(x, u))), g the mean of a Gaussian process.
+"""HybridModel: a Dynamics plus a learned push, x+ = f(x, u, w + g(z(x, u))), g the mean of a
+Gaussian process.
 
-The Gaussian process gives the discrepancy of the physics as force [N] and torque [N m] in body axes and enters where the
-process noise of the same name enters; it is evaluated at the sample and held over the step. Its variance does not move
-the mean; it is offered as `learned_variance` to everything that propagates uncertainty.
+The Gaussian process gives the discrepancy of the physics as force [N] and torque [N m] in body axes
+and enters where the process noise of the same name enters; it is evaluated at the sample and held
+over the step. Its variance does not move the mean; it is offered as `learned_variance` to
+everything that propagates uncertainty.
 
 (Ghoul, Bousserhane and Boufeldja 2026, IJCAS 24(8), phase 3, in the form that a controller can use:
 x+ = f(x, u) + B_d (g(z) + w); Hewing, Kabzan and Zeilinger 2020, IEEE TCST 28(6), eq. 4.)
@@ -10,26 +12,28 @@ x+ = f(x, u) + B_d (g(z) + w); Hewing, Kabzan and Zeilinger 2020, IEEE TCST 28(6
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import LearnedPush
 from greybox.residual.features import features
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HybridModel:
-    """`inner` with the mean of `posterior` added to the process-noise channels that its outputs are named after.
+class HybridModel(LearnedPush):
+    """`inner` with the mean of `posterior` added to the process-noise channels that its outputs are
+    named after.
 
-    The posterior's inputs are features by name (`greybox.residual.features`). Everything else is `inner`'s: states,
-    parameters, noises, charts. Raises `UnknownNameError` for an output that is no noise channel of `inner`, and for a
-    feature that it does not offer; `ModelError` for a unit that differs.
+    The posterior's inputs are features by name (`greybox.residual.features`). Everything else is
+    `inner`'s: states, parameters, noises, charts. Raises `UnknownNameError` for an output that is
+    no noise channel of `inner`, and for a feature that it does not offer; `ModelError` for a unit
+    that differs.
     """
 
     inner: Dynamics
@@ -38,18 +42,31 @@ class HybridModel:
     def __post_init__(self) -> None:
         for signal in self.posterior.outputs:
             if signal.name not in self.inner.noises:
-                raise UnknownNameError("channel of a learned push", signal.name, self.inner.noises.names)
+                raise UnknownNameError(
+                    "channel of a learned push", signal.name, self.inner.noises.names
+                )
             unit = self.inner.noises.signals[self.inner.noises[signal.name]].unit
             if signal.unit != unit:
-                raise ModelError(f"learned {signal.name} in another unit", expected=unit, got=signal.unit)
+                raise ModelError(
+                    f"learned {signal.name} in another unit", expected=unit, got=signal.unit
+                )
         past, future = self.inner.window
         x = ca.SX.sym("x", len(self.inner.states))
-        features(self.inner, self.posterior.inputs.names, x, ca.SX.sym("u", len(self.inner.inputs), past + 1 + future))
+        features(
+            self.inner,
+            self.posterior.inputs.names,
+            x,
+            ca.SX.sym("u", len(self.inner.inputs), past + 1 + future),
+        )
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in ("inner", "posterior"):
-            raise AttributeError(name)
-        return getattr(self.inner, name)
+    @property
+    def base(self) -> Dynamics:
+        """The model that the push was learned for."""
+        return self.inner
+
+    def on(self, base: Dynamics) -> HybridModel:
+        """The same push on another model."""
+        return replace(self, inner=base)
 
     @property
     def name(self) -> str:
@@ -70,9 +87,11 @@ class HybridModel:
         return self.posterior.mean(self.learned_inputs(x, window))
 
     def learned_variance(self, x: Expr, window: Expr) -> Expr:
-        """Variance of the learned push (n_out) without the noise of its training data; 0 for outputs that are off.
+        """Variance of the learned push (n_out) without the noise of its training data; 0 for
+        outputs that are off.
 
-        What an output that was not learned leaves is in the disturbance states and the process noise.
+        What an output that was not learned leaves is in the disturbance states and the process
+        noise.
         """
         on = ca.DM([float(v) for v in self.posterior.active])
         return on * self.posterior.variance(self.learned_inputs(x, window))

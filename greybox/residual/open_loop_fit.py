@@ -174,7 +174,7 @@ class Paths:
         self.engine: Engine = self.runner.engine
         self.extra = np.zeros(0)
         self.chosen = np.array(sorted(set(horizons))) - 1
-        labels = getattr(model.physics, "channel_groups", None) or model.dynamics.innovations.names
+        labels = model.channel_groups
         self.labels = list(dict.fromkeys(labels))
         self.groups = [[i for i, n in enumerate(labels) if n == g] for g in self.labels]
         records = [make_record(self.engine, s) for f in data for s in f.segments]

@@ -30,6 +30,7 @@ from greybox.errors import DataError, FitError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator, run_together
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import learned_push_of
 from greybox.symbolic import FloatArray
 from greybox.validation.new_flight import GRID, new_flight_factor
 from greybox.validation.predictive import gaussian_nlpd
@@ -138,7 +139,7 @@ class _Parts:
         self.groups = list(dict.fromkeys(heads))
         self.members = np.array([self.groups.index(h) for h in heads])
         self.blocks = _blocks(model)
-        self.split_learned = split_learned and hasattr(model.dynamics, "learned_variance")
+        self.split_learned = split_learned and learned_push_of(model.dynamics) is not None
         none = np.zeros_like(levels)
         # What no factor touches, the filter's error alone, then one part at a time on top of it.
         self.propagators = [
@@ -180,7 +181,7 @@ def _solve(cost: Callable[[FloatArray], float], limits: Sequence[tuple[float, fl
 
 def _blocks(model: IdentifiedModel) -> dict[str, list[int]]:
     """Places of the innovation components that are judged together: those of one sensor (one channel, where unknown)."""
-    names = getattr(model.physics, "channel_groups", None) or model.dynamics.innovations.names
+    names = model.channel_groups
     blocks = {n: [i for i, m in enumerate(names) if m == n] for n in dict.fromkeys(names)}
     if len(blocks) > 1:
         blocks.pop("specific_force", None)

@@ -21,7 +21,7 @@ from greybox.estimation.filtering import Filtered
 from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
-from greybox.model.model import PhysicsModel
+from greybox.model.layer import physics_of
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, evaluate
 from greybox.validation.groups import GROUPS
@@ -82,8 +82,8 @@ def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], An
 
     None where no state carries the velocity. The command is taken as held through the delay.
     """
-    physics = model.physics
-    if not isinstance(physics, PhysicsModel) or "position" not in physics.sensor_names:
+    physics = physics_of(model.dynamics)
+    if physics is None or "position" not in physics.sensor_names:
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
     seeing: Dynamics = replace(physics, sensors=(*physics.sensors, sensor))

@@ -9,7 +9,6 @@ vectors are turned from body axes (where errors live) into the world; the rotati
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from greybox.estimation.filtering import Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 from greybox.validation.groups import GROUPS
 from greybox.validation.open_loop import IntArray
@@ -65,6 +65,6 @@ def _rows(dynamics: Dynamics, group: str) -> tuple[bool, list[int]] | None:
     return (False, own) if group == "velocity" and len(own) == 3 else None
 
 
-def _reference_noise(dynamics: Any, group: str) -> float:
-    vehicle = getattr(dynamics, "vehicle", None)
-    return float(vehicle.noise.get(group, 0.02)) if vehicle is not None else 0.0
+def _reference_noise(dynamics: Dynamics, group: str) -> float:
+    physics = physics_of(dynamics)
+    return float(physics.vehicle.noise.get(group, 0.02)) if physics is not None else 0.0

@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
@@ -34,8 +36,6 @@ from greybox.validation.stated import stated_covariances
 Progress = Callable[[str], None]
 CHUNK = 4000
 """Origins that are rolled out at once (bounds the memory)."""
-START = 0.1
-"""First seconds of every segment, which start the filter (as `make_record` does): origins come after them."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
 SPARSE = 0.8
@@ -50,7 +50,7 @@ def validate(
     adapt: float | None = None,
     measured_start: bool = False,
     every: int = 1,
-    skip: float = START,
+    skip: float = START_SECONDS,
     progress: Progress | None = None,
     use_compiler: bool = True,
 ) -> Validation:
@@ -180,8 +180,8 @@ class _Work:
 
     @property
     def _gravity(self) -> float:
-        vehicle = getattr(self.model.physics, "vehicle", None)
-        return float(vehicle.gravity) if vehicle is not None else GRAVITY
+        physics = physics_of(self.model.dynamics)
+        return float(physics.vehicle.gravity) if physics is not None else GRAVITY
 
     def _roll_out(
         self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]

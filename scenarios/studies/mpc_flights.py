@@ -203,11 +203,12 @@ def tightened(pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved
 def airframe_of(model: IdentifiedModel) -> Airframe:
     """What the model's vehicle file says, as the cascade controller knows it."""
     card = model.physics.vehicle
-    j = card.inertia
+    j, thrust, torque = card.inertia, card.actuator.thrust, card.actuator.torque
     return Airframe(
         name=card.name, mass=card.mass.value, inertia=(j[0][0], j[1][1], j[2][2]),
         rotors=tuple(Rotor(r.position, r.spin) for r in card.rotors),
-        thrust=tuple(q.value for q in card.actuator.thrust), torque=tuple(q.value for q in card.actuator.torque),
+        thrust=(thrust[0].value, thrust[1].value, thrust[2].value),
+        torque=(torque[0].value, torque[1].value, torque[2].value),
         gravity=card.gravity, u_min=card.actuator.u_min, u_max=card.actuator.u_max,
     )  # fmt: skip
 

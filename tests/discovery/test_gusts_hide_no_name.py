@@ -13,9 +13,9 @@ from greybox.data import Dataset
 from greybox.discovery.gap import foresee
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
-from greybox.model.disturbance import Disturbed
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import disturbances
 from greybox.report.discover_report import discover_report
 from scenarios.plants.effects import AccelerometerBias, PlantEffect
 from scenarios.plants.presets import x250
@@ -71,7 +71,7 @@ def test_how_long_a_gust_lasts_is_found_and_said() -> None:
 
 def test_the_model_that_is_handed_out_knows_the_gust_of_the_moment(tmp_path: Path) -> None:
     found = searched(BIAS)
-    assert isinstance(found.model.dynamics, Disturbed)
+    assert disturbances(found.model.dynamics)
     found.model.save(tmp_path / "model.json")
     loaded = IdentifiedModel.load(tmp_path / "model.json")
     data = windy((11,), "test", BIAS)

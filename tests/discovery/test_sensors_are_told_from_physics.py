@@ -16,7 +16,7 @@ from greybox.discovery.nested import Nest
 from greybox.discovery.workflow import discover
 from greybox.estimation.fit import fit
 from greybox.model.model import build_model
-from greybox.model.sensor_noise import NoisePart, SensorNoise
+from greybox.model.noise import Augmented, Coloured, Drift, LowPass, sensor_parts
 from greybox.model.vehicle import read_vehicle
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -119,8 +119,8 @@ def test_an_accelerometer_alone_is_not_blamed_for_what_may_be_force(flown, monke
 def test_a_low_pass_is_recovered_and_has_the_gain_of_a_filter(flown):
     vehicle, log = flown
     found, data = white_fit(vehicle, low_passed(log, ["p", "q", "r", "ax", "ay", "az"], 20.0))
-    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
-    model = SensorNoise(inner=found.model.dynamics, parts=parts)
+    parts = tuple(LowPass(sensor=s, time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
+    model = Augmented(core=found.model.dynamics, parts=parts)
     filtered = fit(
         model, data, free=["thrust.c2", *(f"{p.name}.T" for p in parts)], values=dict(found.model.values),
         noise=noise.noise_of(found.model), initialisation="nominal",
@@ -136,9 +136,9 @@ def test_a_low_pass_is_recovered_and_has_the_gain_of_a_filter(flown):
 def test_model_files_have_white_sensors(flown, tmp_path):
     vehicle, log = flown
     found, data = white_fit(vehicle, log)
-    parts = (NoisePart(sensor="gyro", kind="coloured", time=0.05),)
+    parts = (Coloured(sensor="gyro", time=0.05),)
     dressed = fit(
-        SensorNoise(inner=found.model.dynamics, parts=parts), data, free=["thrust.c2"], values=dict(found.model.values),
+        Augmented(core=found.model.dynamics, parts=parts), data, free=["thrust.c2"], values=dict(found.model.values),
         noise=noise.noise_of(found.model), initialisation="nominal",
     )  # fmt: skip
     plain = noise.plain_model(dressed, data)
@@ -152,7 +152,7 @@ def test_model_files_have_white_sensors(flown, tmp_path):
 def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
     plain = searched(flown, cutoff)
     start = plain.refit(())
-    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
+    parts = tuple(LowPass(sensor=s, time=imu_filter.FILTER) for s in ("gyro", "accelerometer"))
     filtered = noise.with_parts(plain, parts)
     first = {(f"{p.name}.T", None): imu_filter.FILTER for p in parts}
     at = filtered.refit((), start=start, first=first)
@@ -160,7 +160,7 @@ def test_a_filter_is_asked_again_when_everything_else_is_known(flown, cutoff):
     if cutoff is None:
         assert lean is not None
         assert lean.effects == ()
-        assert not noise.parts_of(lean.fit.model.dynamics)
+        assert not sensor_parts(lean.fit.model.dynamics)
     else:
         assert lean is None
 
@@ -176,7 +176,7 @@ def test_a_lag_that_was_named_in_place_of_a_filter_makes_room_for_it(flown, cuto
         assert found is not None
         nest, now, gains = found
         assert now.effects == ()
-        assert noise.parts_of(nest.candidates.model) == noise.parts_of(now.fit.model.dynamics)
+        assert sensor_parts(nest.candidates.model) == sensor_parts(now.fit.model.dynamics)
         assert now.fit.parameters["low_pass.gyro.T"].value == pytest.approx(1 / (2 * np.pi * 20.0), rel=0.1)
         assert min(gains.values()) == pytest.approx(at.bic - now.bic)
         assert at.bic - now.bic > 100
@@ -197,7 +197,7 @@ def test_what_a_gyro_is_off_by_from_the_start_is_no_drift(flown):
     rng = np.random.default_rng(1)
     walk = {a: 0.02 + 2e-4 * np.cumsum(rng.standard_normal(len(log["t"]))) for a in "pqr"}
     plain = searched((vehicle, log | {a: log[a] + walk[a] for a in "pqr"}), None)
-    drifting = noise.with_parts(plain, (NoisePart(sensor="gyro", kind="drift"),))
+    drifting = noise.with_parts(plain, (Drift(sensor="gyro"),))
     nothing = drifting.refit(())
     biased = drifting.refit(("gyro_bias",), start=nothing)
     assert nothing.bic - biased.bic > 10

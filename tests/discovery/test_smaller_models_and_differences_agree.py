@@ -16,7 +16,7 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
-from greybox.model.sensor_noise import NoisePart
+from greybox.model.noise import LowPass
 from greybox.symbolic import FloatArray
 from tests.discovery import small_world
 
@@ -82,7 +82,7 @@ def test_a_limit_that_no_command_reaches_is_moved_until_it_is_felt():
 
 def test_a_fit_with_a_filter_starts_one_without(nest: Nest):
     """A group found with a filter of the IMU, which went later, is separated by fits without."""
-    parts = tuple(NoisePart(sensor=s, kind="low_pass", time=FILTER) for s in ("gyro", "accelerometer"))
+    parts = tuple(LowPass(sensor=s, time=FILTER) for s in ("gyro", "accelerometer"))
     filtered = with_parts(nest, parts).refit((), start=nest.refit(()))
     assert "low_pass.gyro.T" in filtered.fit.parameters
     again = nest.refit(("rotational_damping",), start=filtered)

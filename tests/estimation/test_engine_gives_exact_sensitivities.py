@@ -12,9 +12,11 @@ import pytest
 
 from greybox.estimation.build import compiler
 from greybox.estimation.engine import Engine, GainTable, engine_for
-from greybox.model.disturbance import Disturbed
+from greybox.model.dynamics import Dynamics
 from greybox.model.effects import CATALOGUE
+from greybox.model.layer import physics_of
 from greybox.model.model import PhysicsModel
+from greybox.model.noise import with_disturbance
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
 from scenarios.plants.presets import X250
@@ -37,11 +39,11 @@ def everything() -> PhysicsModel:
 
 
 @cache
-def middling() -> Disturbed:
+def middling() -> Dynamics:
     with tempfile.TemporaryDirectory() as folder:
         vehicle = read_vehicle(write_vehicle(Path(folder) / "v.toml", Quadrotor(X250)))
     inner = PhysicsModel(vehicle=vehicle, sensors=SENSORS[:5], sample_time=DT)
-    return Disturbed(inner=inner.with_effect("motor_lag", "command_delay", "rotor_drag"), groups=("torque",))
+    return with_disturbance(inner.with_effect("motor_lag", "command_delay", "rotor_drag"), ("torque",))
 
 
 def values(model) -> np.ndarray:
@@ -79,7 +81,7 @@ class Scene:
         self.y[:, at] /= np.linalg.norm(self.y[:, at], axis=1, keepdims=True)
         self.pattern = (np.arange(N) % 3 == 0).astype(np.int32)
         patterns = (rng.uniform(size=(2, ne)) > 0.3).astype(float)
-        groups = np.array(model.channel_groups)
+        groups = np.array(physics_of(model).channel_groups)
         patterns[0, (groups == "rotation") | (groups == "position")] = 0.0  # as with a slow camera
         self.mask = patterns[self.pattern]
         self.gain = gain_size * 2e-3 * rng.normal(size=(2, nd, ne)) * patterns[:, None, :]

@@ -7,9 +7,9 @@ import pytest
 from greybox.data import dataset_from_arrays
 from greybox.estimation.filtering import Filter
 from greybox.estimation.propagation import Propagator
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import Layout, Signal
 
@@ -28,7 +28,7 @@ def pendulum() -> IdentifiedModel:
         measurement=lambda t, x, u, p: [x[0]],
         noise_states=("rate",),
     )
-    dynamics = Disturbed(inner=inner, groups=("rate",), time_constant=0.4)
+    dynamics = with_disturbance(inner, ("rate",), time=0.4)
     return IdentifiedModel(
         dynamics=dynamics,
         values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),

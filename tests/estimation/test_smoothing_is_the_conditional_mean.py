@@ -7,9 +7,9 @@ from greybox.data import dataset_from_arrays
 from greybox.estimation.filtering import Filter
 from greybox.estimation.gain import Linearisation
 from greybox.estimation.smoothing import smooth, transitions
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
 from greybox.symbolic import Layout, Signal
 
@@ -28,7 +28,7 @@ def oscillator() -> IdentifiedModel:
         measurement=lambda t, x, u, p: [x[0]],
         noise_states=("vel",),
     )
-    dynamics = Disturbed(inner=inner, groups=("vel",), time_constant=0.5)
+    dynamics = with_disturbance(inner, ("vel",), time=0.5)
     return IdentifiedModel(
         dynamics=dynamics,
         values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greybox.estimation.engine import chart_jacobians
-from greybox.model.disturbance import Disturbed
+from greybox.model.noise import with_disturbance
 
 MODEL = model_of(CROOKED, "motor_lag", "rotor_drag")
 SYMBOLS = {
@@ -102,7 +102,7 @@ def test_the_linearisation_depends_on_neither_position_nor_heading():
 
 
 def test_a_disturbed_model_has_the_chart_of_its_parts():
-    disturbed = Disturbed(inner=MODEL, groups=("force",))
+    disturbed = with_disturbance(MODEL, ("force",))
     rng = np.random.default_rng(5)
     x = np.concatenate([state(MODEL), rng.normal(size=3)])
     d = 0.3 * rng.normal(size=len(disturbed.error_states))

@@ -9,8 +9,8 @@ import pytest
 from craft import CROOKED, X250, flat, function, model_of, sensors, state, vector, vehicle_of
 
 from greybox.errors import ModelError, UnknownNameError
-from greybox.model.disturbance import Disturbed
 from greybox.model.model import PhysicsModel, sensors_for
+from greybox.model.noise import with_disturbance
 
 IMU = sensors("gyro", "accelerometer")
 
@@ -114,7 +114,7 @@ def test_values_in_the_vehicle_file_become_nominal_and_misspelt_ones_are_an_erro
 # ------------------------------------------------------------------ disturbances
 
 INNER = model_of(CROOKED)
-DISTURBED = Disturbed(inner=INNER, groups=("force", "torque"))
+DISTURBED = with_disturbance(INNER, ("force", "torque"))
 X = state(INNER, velocity=[1, 2, 3], attitude=[0.8, 0.6, 0, 0], rate=[1, -1, 2])
 D = np.array([0.1, -0.2, 0.3, 1e-3, -2e-3, 3e-3])
 U = np.array([0.5, 0.55, 0.45, 0.6])
@@ -138,8 +138,8 @@ def test_a_disturbance_decays_with_its_time_constant_and_is_a_random_walk_withou
 
 def test_a_disturbance_names_a_channel_of_the_model():
     with pytest.raises(UnknownNameError, match=r"disturbance group 'forse'.*did you mean force"):
-        Disturbed(inner=INNER, groups=("forse",))
-    only = Disturbed(inner=INNER, groups=("torque",))
+        with_disturbance(INNER, ("forse",))
+    only = with_disturbance(INNER, ("torque",))
     assert only.states.names[-3:] == ("disturbance.torque.x", "disturbance.torque.y", "disturbance.torque.z")
     assert only.parameters[-1].name == "disturbance.torque.T"
     x0, sigma = only.initial_state({})

@@ -1,4 +1,5 @@
-"""Noise states of sensors move nothing but their own sensor; a filter is the one that smooths a record."""
+"""Noise states of sensors move nothing but their own sensor; a filter is the one that smooths a
+record."""
 
 from __future__ import annotations
 
@@ -8,8 +9,9 @@ import pytest
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
+from greybox.model.layer import physics_of
 from greybox.model.model import build_model
-from greybox.model.sensor_noise import NoisePart, SensorNoise, white
+from greybox.model.noise import Augmented, Coloured, Drift, Line, LowPass, with_white_sensors
 from greybox.model.vehicle import read_vehicle
 from scenarios.plants.presets import x250
 from scenarios.plants.sensor_faults import low_passed
@@ -18,21 +20,26 @@ from scenarios.plants.vehicle_file import write_vehicle
 DT = 0.01
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")
 PARTS = (
-    NoisePart(sensor="gyro", kind="coloured", time=0.05),
-    NoisePart(sensor="gyro", kind="drift"),
-    NoisePart(sensor="accelerometer", kind="line", time=0.5, frequency=13.0),
-    NoisePart(sensor="accelerometer", kind="low_pass", time=0.008),
+    Coloured(sensor="gyro", time=0.05),
+    Drift(sensor="gyro"),
+    Line(sensor="accelerometer", time=0.5, frequency=13.0),
+    LowPass(sensor="accelerometer", time=0.008),
 )
 
 
 @pytest.fixture(scope="module")
 def physics(tmp_path_factory):
-    vehicle = read_vehicle(write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", x250(), sigma={"thrust.c2": 0.1}))
+    vehicle = read_vehicle(
+        write_vehicle(tmp_path_factory.mktemp("v") / "v.toml", x250(), sigma={"thrust.c2": 0.1})
+    )
     return build_model(vehicle, COLUMNS, (), sample_time=DT)
 
 
 def functions(model):
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs), sum(model.window) + 1)
+    x, u = (
+        ca.SX.sym("x", len(model.states)),
+        ca.SX.sym("u", len(model.inputs), sum(model.window) + 1),
+    )
     w, p, y = (
         ca.SX.sym("w", len(model.noises)),
         ca.SX.sym("p", len(model.parameters)),
@@ -52,19 +59,19 @@ def start(model):
 
 
 def test_it_is_a_dynamics_and_comes_off_again(physics):
-    model = SensorNoise(inner=physics, parts=PARTS)
+    model = Augmented(core=physics, parts=PARTS)
     assert isinstance(model, Dynamics)
-    assert white(model) is physics
-    assert white(physics) is physics
+    assert with_white_sensors(model) is physics
+    assert with_white_sensors(physics) is physics
     assert len(model.states) - len(physics.states) == 3 + 3 + 6 + 3
     assert model.noise_scale(DT).shape == (len(model.noises),)
     assert model.reference({"qw": 1.0}).shape == (len(model.states),)
-    assert "rotor_drag" in {e.name for e in model.with_effect("rotor_drag").inner.effects}
+    assert "rotor_drag" in {e.name for e in physics_of(model.with_effect("rotor_drag")).effects}
     assert model.with_effect("rotor_drag").without_effect("rotor_drag") == model
 
 
 def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
-    model = SensorNoise(inner=physics, parts=PARTS[:3])
+    model = Augmented(core=physics, parts=PARTS[:3])
     step, _, innovation = functions(model)
     x, p = start(model)
     u, quiet = np.full(4, 0.5), np.zeros(len(model.noises))
@@ -85,12 +92,16 @@ def test_noise_adds_to_the_innovation_of_its_sensor_alone(physics):
     assert after[model.states["coloured.gyro.c.q"]] == pytest.approx(0.3 * np.exp(-DT / 0.05))
     assert after[model.states["drift.gyro.c.q"]] == pytest.approx(0.2)
     turn, decay = 2 * np.pi * 13.0 * DT, np.exp(-DT / 0.5)
-    assert after[model.states["line.accelerometer.c.az"]] == pytest.approx(0.7 * decay * np.cos(turn))
-    assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(0.7 * decay * np.sin(turn))
+    assert after[model.states["line.accelerometer.c.az"]] == pytest.approx(
+        0.7 * decay * np.cos(turn)
+    )
+    assert after[model.states["line.accelerometer.s.az"]] == pytest.approx(
+        0.7 * decay * np.sin(turn)
+    )
 
 
 def test_a_filter_is_the_one_that_smooths_a_record(physics):
-    model = SensorNoise(inner=physics, parts=PARTS[3:])
+    model = Augmented(core=physics, parts=PARTS[3:])
     (step, output, _), (_, bare, _) = functions(model), functions(physics)
     x, p = start(model)
     rng = np.random.default_rng(0)
@@ -99,7 +110,11 @@ def test_a_filter_is_the_one_that_smooths_a_record(physics):
     for _ in range(60):
         u = rng.uniform(0.4, 0.6, 4)
         seen.append(output(x, u, p, quiet).full().ravel()[model.outputs["az"]])
-        true.append(bare(x[:n], u, p[: len(physics.parameters)], quiet[: len(physics.noises)]).full().ravel())
+        true.append(
+            bare(x[:n], u, p[: len(physics.parameters)], quiet[: len(physics.noises)])
+            .full()
+            .ravel()
+        )
         x = step(x, u, p, quiet).full().ravel()
     record = {"t": DT * np.arange(60), "az": np.array([v[physics.outputs["az"]] for v in true])}
     smooth = low_passed(record, ["az"], 1 / (2 * np.pi * 0.008))["az"]
@@ -109,8 +124,6 @@ def test_a_filter_is_the_one_that_smooths_a_record(physics):
 
 def test_mistakes_are_named(physics):
     with pytest.raises(UnknownNameError, match="barometer"):
-        SensorNoise(inner=physics, parts=(NoisePart(sensor="barometer", kind="coloured"),))
-    with pytest.raises(ModelError, match="pink"):
-        SensorNoise(inner=physics, parts=(NoisePart(sensor="gyro", kind="pink"),))
+        Augmented(core=physics, parts=(Coloured(sensor="barometer"),))
     with pytest.raises(ModelError, match=r"drift\.gyro"):
-        SensorNoise(inner=physics, parts=(PARTS[1], PARTS[1]))
+        Augmented(core=physics, parts=(PARTS[1], PARTS[1]))

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
+from greybox.model.noise import with_disturbance
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
 from tests.residual import hybrid_cases
@@ -36,14 +36,14 @@ def physics(delay: float = 0.013) -> IdentifiedModel:
 
 def disturbed() -> IdentifiedModel:
     """The same with disturbance force and torque."""
-    dynamics = Disturbed(inner=hybrid_cases.craft(), groups=("force", "torque"), time_constant=2.0)
+    dynamics = with_disturbance(hybrid_cases.craft(), ("force", "torque"), time=2.0)
     return identified(dynamics, **{"command_delay.d": 0.013, "motor_lag.tau": 0.04})
 
 
 @functools.cache
 def hybrid(points: int = 8, kernel: str = "linear+se") -> IdentifiedModel:
     """The same with torque disturbances and a random push on three channels."""
-    dynamics = Disturbed(inner=hybrid_cases.craft(), groups=("torque",), time_constant=2.0)
+    dynamics = with_disturbance(hybrid_cases.craft(), ("torque",), time=2.0)
     push = hybrid_cases.push(hybrid_cases.craft(), FEATURES, points=points, kernel=kernel)
     return identified(HybridModel(inner=dynamics, posterior=push), **{"command_delay.d": 0.013, "motor_lag.tau": 0.04})
 

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.data import Dataset, dataset_from_arrays
-from greybox.model.disturbance import Disturbed
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, build_model
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.residual.features import feature_layout
 from greybox.residual.hybrid import HybridModel
@@ -109,7 +109,7 @@ def pendulum() -> StateSpaceModel:
 
 def pendulum_model(levels: tuple[float, float] = (0.3, 0.3)) -> IdentifiedModel:
     """The pendulum with a correlated torque disturbance."""
-    dynamics = Disturbed(inner=pendulum(), groups=("rate",), time_constant=0.5)
+    dynamics = with_disturbance(pendulum(), ("rate",), time=0.5)
     return IdentifiedModel(
         dynamics=dynamics, values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}),
         process_noise=np.array(levels), sensor_noise=np.array([0.005, 0.01]), weak=np.full(3, 1e4),

@@ -9,7 +9,6 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from greybox.errors import DataError, UnknownNameError
-from greybox.estimation.covariance import is_coloured
 from greybox.estimation.linear.order import OrderChoice, choose_order
 from greybox.estimation.linear.pem import Settings, Solution, Status
 from greybox.estimation.linear.records import Record, Scaling, prepare
@@ -20,6 +19,7 @@ from greybox.estimation.linear.varx import estimate_delays
 from greybox.estimation.options import chosen, says_choices
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import spectral_radius
+from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import FloatArray, Layout, Signal
 
 __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]

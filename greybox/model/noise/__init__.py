@@ -1,0 +1,39 @@
+"""Noise that is correlated in time: one file per kind, and the model that carries it as states.
+White noise is no parts."""
+
+from greybox.model.noise.augmented import (
+    Augmented,
+    disturbances,
+    sensor_parts,
+    with_disturbance,
+    with_parts,
+    with_white_sensors,
+    without_parts,
+)
+from greybox.model.noise.coloured import Coloured
+from greybox.model.noise.disturbance import Disturbance
+from greybox.model.noise.drift import Drift
+from greybox.model.noise.line import Line
+from greybox.model.noise.low_pass import LowPass
+from greybox.model.noise.part import NoisePart, SensorPart
+
+__all__ = [
+    "KINDS",
+    "Augmented",
+    "Coloured",
+    "Disturbance",
+    "Drift",
+    "Line",
+    "LowPass",
+    "NoisePart",
+    "SensorPart",
+    "disturbances",
+    "sensor_parts",
+    "with_disturbance",
+    "with_parts",
+    "with_white_sensors",
+    "without_parts",
+]
+
+KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass)
+"""All kinds of noise part."""
