@@ -65,8 +65,7 @@ def fit(
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
-    groups = options.disturbance
-    dynamics = with_disturbance(model, groups)
+    dynamics = with_disturbance(model, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     first: Fit | None = None
     if options.initialisation == "innovation":

@@ -158,8 +158,8 @@ class _Work:
         bias = self._imu_bias(flight)
         spread = {} if adapted is None else adapted.std
         for i, segment in enumerate(flight.segments):
-            x0 = adapted.x0 if adapted is not None and i == 0 else None
-            filtered = self.filter.run(segment.without(flight.noncausal), p=p, x0=x0)
+            x0, sigma = (adapted.x0, adapted.x0_sigma) if adapted is not None and i == 0 else (None, None)
+            filtered = self.filter.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
             late = segment.t >= after - 1e-9
             late[: max(3, round(self.skip / segment.dt)) - 1] = False
             self.one_step.add(flight.name, filtered, late)
