@@ -15,17 +15,19 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
-from greybox.estimation.gain import Riccati, linearisation_at, stationary
+from greybox.estimation.gain import linearisation_at
 from greybox.estimation.lost_commands import any_lost, lost_commands
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
+from greybox.estimation.settling import RecordGains, Settling
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter
 from greybox.symbolic import FloatArray
@@ -57,11 +59,37 @@ class Given(Predictor[None]):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Column:
-    """Change per unit of one parameter: of the innovations (n, n_e) and their covariances (n_pat, n_e, n_e)."""
+class _Spread:
+    """Covariances of a record's innovations: `table` (n_row, n_e, n_e), `row` (n,) which one a sample has."""
+
+    table: FloatArray
+    row: npt.NDArray[np.int32]
+
+    def at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
+        """Those of some samples (m,), (m, n_e, n_e)."""
+        return self.table[self.row[samples]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Passed:
+    """Innovations (n, n_e) of one record and their covariances."""
 
     innovations: FloatArray
-    covariance: FloatArray
+    spread: _Spread
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Column:
+    """Change per unit of one parameter: of the innovations (n, n_e), and of their covariances, (new - old) / step."""
+
+    innovations: FloatArray
+    new: _Spread
+    old: _Spread
+    step: float
+
+    def covariance(self, samples: npt.NDArray[np.intp]) -> FloatArray:
+        """Change of the covariances of some samples (m,), (m, n_e, n_e)."""
+        return (self.new.at(samples) - self.old.at(samples)) / self.step
 
 
 def widened(
@@ -106,9 +134,7 @@ def widened(
         assert block.covariance_slope is not None
         # A larger model may look further back at commands: its patterns are more, of lost rows long before.
         groups = range(len(block.covariance_slope))
-        alike = {
-            r: [int(np.bincount(r.records[i].pattern[block.pattern == g]).argmax()) for g in groups] for r in {runner, other}
-        }
+        alike = {r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {runner, other}}
         there = [(j, c[i], runners[j]) for j, c in enumerate(columns)]
         moved = [(j, c, r) for j, c, r in there if c is not None]
         blocks.append(
@@ -116,7 +142,7 @@ def widened(
                 block,
                 jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2),
                 covariance_slope=np.concatenate(
-                    [block.covariance_slope, *(c.covariance[alike[r]][:, None] for _, c, r in moved)], axis=1
+                    [block.covariance_slope, *(c.covariance(alike[r])[:, None] for _, c, r in moved)], axis=1
                 ),
                 columns=np.concatenate([block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]),
             )
@@ -155,8 +181,9 @@ class _Runner:
         self.names = [d.name for d in large.parameters]
         self.thresholds: set[str] = set()
         self.starts = [self._start(i) for i in range(len(self.records))]
-        self.common = self.riccati(self.parameters(None))
-        self.base = [self.run(i, self.parameters(r.flight), self.common) for i, r in enumerate(self.records)]
+        self.spreads = [self._spread(i) for i in range(len(self.records))]
+        self.common = self.gains(self.parameters(None))
+        self.base = [self.run(i, self.parameters(r.flight), self.common[i]) for i, r in enumerate(self.records)]
 
     def parameters(self, flight: str | None) -> FloatArray:
         """Parameter vector of the larger model, candidates at their nulls."""
@@ -165,31 +192,42 @@ class _Runner:
         return np.array([own[n] if n in own else self.null[n] for n in self.names])
 
     def _start(self, i: int) -> FloatArray:
-        moved = dict(
-            zip(self.small.dynamics.error_states.names, self.theta[self.small.initial_columns(i)], strict=True)
-            if self.small.estimate_initial
-            else ()
-        )
+        error = self.small.initial_error(self.theta, i)
+        moved = dict(zip(self.small.dynamics.error_states.names, error, strict=True))
         d = np.array([moved.get(n, 0.0) for n in self.large.error_states.names])
         return self.engine.moved(self.records[i].x0, d)[0]
 
-    def riccati(self, p: FloatArray) -> Riccati:
-        """Stationary filter at the parameters p."""
+    def _spread(self, i: int) -> FloatArray | None:
+        """Standard deviations of the start's errors as in the smaller model; what only the larger one has is known."""
+        found = self.small.spreads
+        if found is None:
+            return None
+        own = dict(zip(self.small.dynamics.error_states.names, found[i], strict=True))
+        return np.array([own.get(n, 0.0) for n in self.large.error_states.names])
+
+    def example(self, i: int, chosen: npt.NDArray[np.bool_]) -> int:
+        """A sample of record i among `chosen` (n,) with the covariance that most of these have."""
+        row = self.base[i].spread.row
+        return int(np.flatnonzero(chosen & (row == np.bincount(row[chosen]).argmax()))[0])
+
+    def gains(self, p: FloatArray) -> list[RecordGains]:
+        """The filter of every record at the parameters p."""
         values = self.linearisation.values(self.reference, self.window, p, self.small.dt)
         lost = None if self.lost is None else self.lost.at(self.reference, self.window, p, self.small.dt)
-        return stationary(values, self.q, self.r, self.weak, lost=lost)
+        settling = Settling(values=values, q=self.q, r=self.r, weak=self.weak, lost=lost)
+        return [settling.gains(r, spread) for r, spread in zip(self.records, self.spreads, strict=True)]
 
-    def run(self, i: int, p: FloatArray, riccati: Riccati) -> _Column:
+    def run(self, i: int, p: FloatArray, found: RecordGains) -> _Passed:
         """Innovations of record i and their covariances."""
         record = self.records[i]
-        gains, s, _ = Innovation().tables(riccati, record.patterns, 0)
+        gains, s, _ = found.tables()
         run = self.engine.run(
-            x0=self.starts[i], inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+            x0=self.starts[i], inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
             gains=gains, p=p, dt=record.dt,
         )  # fmt: skip
         if run.failed_at is not None or run.innovations is None:
             raise FitError(f"the prediction of flight {record.flight} is not finite after sample {run.failed_at}")
-        return _Column(innovations=run.innovations, covariance=s)
+        return _Passed(innovations=run.innovations, spread=_Spread(table=s, row=found.pattern))
 
     def column(self, d: Parameter, null: float, flight: str | None) -> list[_Column | None]:
         """Change of every record with one parameter (of one flight): None where the record is of another flight. What is
@@ -209,11 +247,11 @@ class _Runner:
 
     def _moved(self, name: str, value: float, h: float, flight: str | None) -> list[_Column | None]:
         at = self.names.index(name)
-        riccati = self.common
+        gains = self.common
         if flight is None:
             p = self.parameters(None)
             p[at] = value
-            riccati = self.riccati(p)
+            gains = self.gains(p)
         out: list[_Column | None] = []
         for i, record in enumerate(self.records):
             if flight not in (None, record.flight):
@@ -221,11 +259,7 @@ class _Runner:
                 continue
             p = self.parameters(record.flight)
             p[at] = value
-            new, old = self.run(i, p, riccati), self.base[i]
-            out.append(
-                _Column(
-                    innovations=(new.innovations - old.innovations) / h,
-                    covariance=(new.covariance - old.covariance) / h,
-                )
-            )
+            new, old = self.run(i, p, gains[i]), self.base[i]
+            change = (new.innovations - old.innovations) / h
+            out.append(_Column(innovations=change, new=new.spread, old=old.spread, step=h))
         return out

@@ -36,6 +36,7 @@ START = 2.0
 """Seconds that tell with which velocity, tilt and rates a log begins that does not measure them; they are not judged."""
 STRIDE = 0.05
 """Seconds between origins."""
+Start = tuple[FloatArray | None, FloatArray | None]
 Squares = dict[tuple[str, float], list[FloatArray]]
 
 
@@ -126,8 +127,8 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue
-            x0 = _begun(model, flight, segment, runner) if blind else None
-            filtered = runner.run(segment.without(flight.noncausal), p=p, x0=x0)
+            x0, sigma = _begun(model, flight, segment, runner) if blind else (None, None)
+            filtered = runner.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
             logliks.append(_logliks(filtered, segment.t, late[0]))
             samples += late.size
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
@@ -142,9 +143,10 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     return Foresight(own=own, floor=floor, logliks=np.concatenate(logliks), samples=max(samples, 1))
 
 
-def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> FloatArray | None:
+def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> Start:
     alone, steady = replace(flight, segments=(segment,)), replace(model, flight_spread={})
-    return adapt_to_flight(steady, alone, _start(segment), riccati=runner.riccati).x0
+    found = adapt_to_flight(steady, alone, _start(segment), riccati=runner.riccati)
+    return found.x0, found.x0_sigma
 
 
 def _start(segment: Segment) -> float:
@@ -156,8 +158,8 @@ def _logliks(filtered: Filtered, t: FloatArray, begin: int) -> FloatArray:
     """Gaussian log likelihood of the innovations from sample `begin` on, one value per second."""
     second = np.asarray((t - t[begin]) // 1.0, dtype=int)
     total = np.zeros(int(second[-1]) + 1)
-    for g, there in enumerate(filtered.record.patterns != 0):
-        rows = np.flatnonzero(filtered.record.pattern == g)
+    for g, there in enumerate(filtered.gains.there):
+        rows = np.flatnonzero(filtered.gains.pattern == g)
         rows = rows[rows >= begin]
         if not there.any() or not rows.size:
             continue

@@ -141,9 +141,8 @@ def responses(
     """Normal equations of whitened innovations on whitened responses to `pushes` (n, t), each through the noise channel of
     its place: one block per part of the segment, the parts in order and without gaps."""
     record, width = run.record, sum(runner.model.dynamics.window) + 1
-    tables = [runner.riccati.gain(m) for m in record.patterns]
-    there = record.patterns != 0
-    white = [np.linalg.inv(np.linalg.cholesky(p[1])) for p in tables]
+    gain, there = run.gains.tables()[0].gain, run.gains.there
+    white = np.linalg.inv(np.linalg.cholesky(run.covariance))
     d = np.zeros((runner.engine.nd, len(places)))
     for part in parts:
         sums = Normal.of([np.zeros((1, len(places)))], [np.zeros(1)], [record.flight])
@@ -152,9 +151,9 @@ def responses(
             out, target = np.zeros((len(rows), there.shape[1], len(places))), np.zeros((len(rows), there.shape[1]))
             for j, k in enumerate(rows):
                 a, g, c, through = lin.values(run.states[k], record.inputs[k : k + width].T, run.p, record.dt)
-                i = record.pattern[k]
+                i = run.gains.pattern[k]
                 e = (c @ d + through[:, places] * pushes[k]) * there[i][:, None]
                 out[j], target[j] = white[i] @ e, white[i] @ (run.innovations[k] * there[i])
-                d = a @ d + g[:, places] * pushes[k] - tables[i][0] @ e
+                d = a @ d + g[:, places] * pushes[k] - gain[i] @ e
             sums = sums + Normal.of([out.reshape(-1, len(places))], [target.ravel()], [record.flight])
         yield sums

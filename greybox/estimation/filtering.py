@@ -9,35 +9,45 @@ import numpy.typing as npt
 
 from greybox.data import Segment
 from greybox.errors import FitError
-from greybox.estimation.engine import Engine, GainTable, engine_for
-from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.gain import Linearisation, Riccati
 from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.record import Record, make_record
+from greybox.estimation.settling import RecordGains, Settling
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Filtered:
-    """One segment under the stationary filter. Arrays have the n samples first.
+    """One segment under the filter. Arrays have the n samples first.
 
     states (n, n_x): x_hat(k | k-1), from measurements up to k-1; innovations (n, n_e), zero where missing; outputs
-    (n, n_y): y_hat(k | k-1); covariance (n_pat, n_e, n_e) of the innovations per pattern; state_covariance (n_d, n_d).
+    (n, n_y): y_hat(k | k-1); covariance (n_row, n_e, n_e) of the innovations per row of `gains`.
     """
 
     record: Record
+    gains: RecordGains
     states: FloatArray
     innovations: FloatArray
     outputs: FloatArray
     covariance: FloatArray
-    state_covariance: FloatArray
     p: FloatArray
+
+    @property
+    def state_covariance(self) -> FloatArray:
+        """Covariance (n_d, n_d) of the predicted state once the filter has settled."""
+        return self.gains.solutions[0].P
+
+    def state_covariances(self, rows: npt.NDArray[np.int_]) -> FloatArray:
+        """Covariance of the predicted state at some samples (m,), (m, n_d, n_d)."""
+        return self.gains.covariances[self.gains.pattern[rows]]
 
     @property
     def sigma(self) -> FloatArray:
         """One standard deviation of every innovation, (n, n_e)."""
         spread = np.sqrt(np.array([np.diag(s) for s in self.covariance]))
-        return spread[self.record.pattern]
+        return spread[self.gains.pattern]
 
 
 def at_reference(model: IdentifiedModel) -> tuple[FloatArray, ...]:
@@ -53,38 +63,43 @@ def _reference_window(model: IdentifiedModel) -> FloatArray:
 
 
 class Filter:
-    """The identified filter: stationary gain from the model's noise levels, linearised at its reference point (`linear`:
-    A, G, C, D there)."""
+    """The identified filter: gains from the model's noise levels, linearised at its reference point (`linear`: A, G, C, D
+    there). `settling` follows them from the spread of a start, `riccati` is where they end with all channels there."""
 
     def __init__(self, model: IdentifiedModel, *, use_compiler: bool = True) -> None:
         self.model = model
         self.engine: Engine = engine_for(model.dynamics, (), use_compiler=use_compiler)
         self.linear = at_reference(model)
-        self.riccati: Riccati = stationary(
-            self.linear, model.process_noise**2, model.sensor_noise**2, model.weak**2,
+        self.settling = Settling(
+            values=self.linear, q=model.process_noise**2, r=model.sensor_noise**2, weak=model.weak**2,
             lost=lost_commands(model.dynamics).at(
                 model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
             ),
         )  # fmt: skip
+        self.riccati: Riccati = self.settling.settled()[0]
 
-    def run(self, segment: Segment, p: FloatArray | None = None, x0: FloatArray | None = None) -> Filtered:
-        """Filter one segment with the parameter vector p (the flight's own values by default) from x0 (measured start).
+    def run(
+        self,
+        segment: Segment,
+        p: FloatArray | None = None,
+        x0: FloatArray | None = None,
+        x0_sigma: FloatArray | None = None,
+    ) -> Filtered:
+        """Filter one segment with the parameter vector p (the flight's own values by default) from its measured start.
 
+        With x0 (n_x,) from there, with errors of `x0_sigma` (n_d,); without the latter as if it had always run.
         Raises `FitError` where the prediction stops being finite, `DataError` for missing input columns.
         """
         record = make_record(self.engine, segment)
         vector = self.model.flight_vector(segment.flight) if p is None else np.asarray(p, dtype=float)
-        parts = [self.riccati.gain(m) for m in record.patterns]
-        gains = GainTable(
-            gain=np.array([v[0] for v in parts]),
-            zero=np.array([not m.any() for m in record.patterns], dtype=np.int32),
-        )
+        found = self.settling.gains(record, record.x0_sigma if x0 is None else x0_sigma)
+        gains, covariance, _ = found.tables()
         run = self.engine.run(
             x0=record.x0 if x0 is None else x0,
             inputs=record.inputs,
             outputs=record.outputs,
             mask=record.mask,
-            pattern=record.pattern,
+            pattern=found.pattern,
             gains=gains,
             p=vector,
             dt=record.dt,
@@ -99,8 +114,8 @@ class Filter:
             states=run.states,
             innovations=run.innovations,
             outputs=run.outputs,
-            covariance=np.array([v[1] for v in parts]),
-            state_covariance=self.riccati.P,
+            gains=found,
+            covariance=covariance,
             p=vector,
         )
 

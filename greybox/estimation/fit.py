@@ -65,8 +65,7 @@ def fit(
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
-    groups = options.disturbance
-    dynamics = with_disturbance(model, groups)
+    dynamics = with_disturbance(model, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     first: Fit | None = None
     if options.initialisation == "innovation":
@@ -83,7 +82,7 @@ def fit(
             start = _initialise(problem, options, solver)
         start = predictor.approach(problem, start, progress)  # multiple shooting closes its gaps first
         try:
-            theta, status = solver.solve(problem, start, progress)
+            theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
         added = _considered_spread(problem, data, options, theta) if options.considered else None
@@ -146,7 +145,7 @@ def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatA
         return init.noise_start(problem)
     if how == "equation-error":
         try:
-            start = init.equation_error(problem)
+            start = problem.inside(init.equation_error(problem))
             start = init.noise_start(problem, start) if problem.predictor.has_noise else start
         except FitError:
             return problem.start

@@ -15,7 +15,7 @@ finite without touching the gain of what is seen.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -107,6 +107,16 @@ class _Arrival:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GainRow:
+    """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_d, n_e, n_s), dS (n_s, ...)."""
+
+    K: FloatArray
+    S: FloatArray
+    dK: FloatArray | None
+    dS: FloatArray | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Riccati:
     """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need.
 
@@ -121,6 +131,7 @@ class Riccati:
     dS: FloatArray | None = None
     lost: Pushes | None = None
     pieces: tuple[FloatArray, ...] = ()
+    _rows: dict[bytes, GainRow] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def _felt(self) -> int:
@@ -147,8 +158,8 @@ class Riccati:
         dx = db = dh = np.zeros((0, 1, *x.shape))
         if sloped:
             da, dc = slopes
-            db, dh, dearly = (_extend(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly))
-            dx, dweight = db[:, 0] + da @ early + a @ dearly, _extend(dweight, len(da))
+            db, dh, dearly = (extended(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly))
+            dx, dweight = db[:, 0] + da @ early + a @ dearly, extended(dweight, len(da))
         for i in range(self._felt.bit_length()):
             e, f = c @ x + h[i + 1], a @ x + b[i + 1]
             n_, s = weight[i] * f @ e.T, weight[i] * e @ e.T
@@ -175,6 +186,15 @@ class Riccati:
             return replace(self, N=n_, S=s, lost=None)
         dn, ds = self.dN + sum(v.dN for v in new), self.dS + sum(v.dS for v in new)
         return replace(self, N=n_, S=s, dN=dn, dS=ds, lost=None)
+
+    def row(self, there: FloatArray) -> GainRow:
+        """`gain` as a row of a gain table; made once."""
+        key = there.tobytes()
+        if key not in self._rows:
+            k, s, dk, ds = self.gain(there)
+            turned = None if dk is None else np.ascontiguousarray(np.moveaxis(dk, 0, -1))
+            self._rows[key] = GainRow(K=k, S=s, dK=turned, dS=ds)
+        return self._rows[key]
 
     def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
         """(K, S, dK, dS) where only the channels with there[i] != 0 are measured, as in `Record.patterns`.
@@ -273,39 +293,85 @@ def stationary(
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
+    samples = SystemSamples(values=values, q=q, r=r, slopes=slopes, dq=dq, dr=dr, lost=lost)
+    if slopes is None or dq is None or dr is None:
+        return samples.at(p)
     gqd = (g * q) @ d.T
     n_ = a @ p @ c.T + gqd
     s = c @ p @ c.T + (d * q) @ d.T + np.diag(r)
-    if slopes is None or dq is None or dr is None:
-        return Riccati(P=p, N=n_, S=s, lost=lost, pieces=(a, c))
     # Gain of the problem with the pseudo-sensor (the one that P solves).
     full_s = np.block([[s, c @ p], [p @ c.T, p + np.diag(weak)]])
     full_k = np.column_stack([n_, a @ p]) @ np.linalg.inv(full_s)
     ke, kw = full_k[:, : r.size], full_k[:, r.size :]
     closed = a - ke @ c - kw
     through = g - ke @ d
-    da, dg, dc, dd = (_extend(v, dq.shape[0]) for v in slopes)
+    da, dg, dc, dd = (extended(v, dq.shape[0]) for v in slopes)
     m = (da - ke @ dc) @ (p @ closed.T) + (dg - ke @ dd) @ ((through * q).T)
     m = m + m.transpose(0, 2, 1)
     m = m + (through * dq[:, None, :]) @ through.T + (ke * dr[:, None, :]) @ ke.T
-    dp = _smith(closed, m)
-    pc = p @ c.T
-    dn = da @ pc + a @ dp @ c.T + (a @ p) @ dc.transpose(0, 2, 1)
-    dn = dn + (dg * q) @ d.T + (g * dq[:, None, :]) @ d.T + (g * q) @ dd.transpose(0, 2, 1)
-    half = dc @ pc + (dd * q) @ d.T
-    ds = half + half.transpose(0, 2, 1) + c @ dp @ c.T + (d * dq[:, None, :]) @ d.T
-    ds[:, np.arange(r.size), np.arange(r.size)] += dr
-    return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=lost, pieces=(a, c, da, dc))
+    return samples.at(p, smith(closed, m))
 
 
-def _extend(stack: FloatArray | None, n: int) -> FloatArray:
+@dataclass(frozen=True, kw_only=True)
+class SystemSamples:
+    """Linear system seen sample by sample: what gains need, from the covariance of the predicted state there.
+
+    values (A, G, C, D), q, r, slopes, dq, dr, lost as in `stationary`. N and S are P times something and what does not
+    depend on P, which is made once.
+    """
+
+    values: tuple[FloatArray, ...]
+    q: FloatArray
+    r: FloatArray
+    slopes: tuple[FloatArray, ...] | None = None
+    dq: FloatArray | None = None
+    dr: FloatArray | None = None
+    lost: Pushes | None = None
+
+    @cached_property
+    def _fixed(self) -> tuple[FloatArray, FloatArray]:
+        _, g, _, d = self.values
+        return (g * self.q) @ d.T, (d * self.q) @ d.T + np.diag(self.r)
+
+    @cached_property
+    def _slopes(self) -> tuple[FloatArray, ...] | None:
+        """dA, dC of the model's parameters alone; dA, dC, and the slopes of what does not depend on P, of all unknowns."""
+        if self.slopes is None or self.dq is None or self.dr is None:
+            return None
+        (_, g, _, d), q, n = self.values, self.q, self.dq.shape[0]
+        da, dg, dc, dd = (extended(v, n) for v in self.slopes)
+        dn = (dg * q) @ d.T + (g * self.dq[:, None, :]) @ d.T + (g * q) @ dd.transpose(0, 2, 1)
+        half = (dd * q) @ d.T
+        ds = half + half.transpose(0, 2, 1) + (d * self.dq[:, None, :]) @ d.T
+        ds[:, np.arange(self.r.size), np.arange(self.r.size)] += self.dr
+        return self.slopes[0], self.slopes[2], da, dc, dn, ds
+
+    def at(self, p: FloatArray, dp: FloatArray | None = None) -> Riccati:
+        """The solution where the predicted state has the covariance `p` (n_d, n_d) with slopes `dp` (n_s, n_d, n_d)."""
+        a, _, c, _ = self.values
+        pc = p @ c.T
+        n_, s = a @ pc + self._fixed[0], c @ pc + self._fixed[1]
+        if dp is None or self._slopes is None:
+            return Riccati(P=p, N=n_, S=s, lost=self.lost, pieces=(a, c))
+        da, dc, *every, fixed_n, fixed_s = self._slopes
+        own = len(da)
+        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), -1)
+        dn, ds = fixed_n + a @ dpc, fixed_s + c @ dpc
+        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), -1)
+        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), -1) + (a @ p) @ dc.transpose(0, 2, 1)
+        ds[:own] += half + half.transpose(0, 2, 1)
+        return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=self.lost, pieces=(a, c, *every))
+
+
+def extended(stack: FloatArray | None, n: int) -> FloatArray:
+    """A stack of slopes with zeros for the remaining of n unknowns."""
     assert stack is not None
     if stack.shape[0] == n:
         return stack
     return np.concatenate([stack, np.zeros((n - stack.shape[0], *stack.shape[1:]))])
 
 
-def _smith(closed: FloatArray, m: FloatArray) -> FloatArray:
+def smith(closed: FloatArray, m: FloatArray) -> FloatArray:
     """X = closed X closed' + M for a stack of M, by squaring."""
     x, f = m, closed
     for _ in range(60):

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from greybox.estimation.record import Record
 from greybox.estimation.solver import IndexArray, Progress
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from greybox.estimation.problem import Problem
@@ -85,6 +85,19 @@ class Predictor(ABC, Generic[Prepared_co]):
     def has_initial(self) -> bool:
         """Whether initial states are unknowns of the fit; False: their prior is all that is used of them."""
         return True
+
+    @property
+    def carries_starts(self) -> bool:
+        """Whether errors of the starts may be integrated out instead of being unknowns, see `told`."""
+        return False
+
+    def told(self, problem: Problem) -> list[BoolArray]:
+        """Which initial errors (n_d,) of every record its filter carries as a covariance; none by default.
+
+        Asked only of a predictor that `carries_starts`, before the initial errors are among the
+        unknowns of `problem`.
+        """
+        return [np.zeros(len(problem.dynamics.error_states), dtype=bool) for _ in problem.records]
 
     @property
     def horizons(self) -> tuple[int, ...]:

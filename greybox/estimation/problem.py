@@ -1,7 +1,8 @@
 """Problem: the unknowns of a fit and its cost, gradient and Gauss-Newton Hessian. Solvers see only this.
 
 Unknowns, in this order: shared model parameters; natural logarithms of noise levels; per-flight model parameters;
-initial error state of every record. Priors are Gaussian and part of the cost (maximum a posteriori), bounds are hard.
+errors of the initial state of every record that the predictor's filter does not carry. Priors are Gaussian and part of
+the cost (maximum a posteriori), bounds are hard.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import concurrent.futures
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TypeVar, Unpack, cast
@@ -21,6 +22,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.feasible import Body, bodies_of, moved_inside, wall
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
@@ -28,7 +30,7 @@ from greybox.estimation.solver import IndexArray, Value
 from greybox.estimation.unknown import Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
-from greybox.symbolic import FloatArray, Layout
+from greybox.symbolic import BoolArray, FloatArray, Layout
 
 __all__ = ["Block", "IndexArray", "Problem", "Unknown", "Value", "few_samples", "make_problem"]
 _S = TypeVar("_S")
@@ -44,7 +46,9 @@ class Problem:
 
     `base` (n_p) are the values of all model parameters where they are not unknowns, `process_level`
     (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are parameters
-    that are felt of a larger step only (greybox.discovery.differences).
+    that are felt of a larger step only (greybox.discovery.differences). `spreads` (n_d) per record are
+    the standard deviations of the initial errors that the predictor's filter carries, zero where they
+    are unknowns; None: its filter runs as if it always had.
     """
 
     dynamics: Dynamics
@@ -61,6 +65,7 @@ class Problem:
     means: Mapping[str, float]
     flights: tuple[str, ...]
     thresholds: frozenset[str] = frozenset()
+    spreads: tuple[FloatArray, ...] | None = None
     _prepared: dict[Predictor[object], object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -98,8 +103,8 @@ class Problem:
 
     @property
     def start(self) -> FloatArray:
-        """Start values."""
-        return np.array([u.start for u in self.unknowns])
+        """Start values, with inertia that a body can have."""
+        return moved_inside(self.bodies, np.array([u.start for u in self.unknowns]), self.lower, self.upper)
 
     @property
     def lower(self) -> FloatArray:
@@ -153,20 +158,50 @@ class Problem:
         """Places of the engine's active parameters for one flight."""
         return np.array([self.place(a, flight) for a in self.engine.active], dtype=np.intp)
 
+    def initial_rows(self, record_index: int) -> IndexArray:
+        """Entries of the initial error state of one record that are unknowns, (n_0,)."""
+        tag, names = f"record {record_index}", self.dynamics.error_states.names
+        return np.array([i for i, n in enumerate(names) if (n, tag) in self.index], dtype=np.intp)
+
     def initial_columns(self, record_index: int) -> IndexArray:
-        """Places of the initial error state of one record."""
-        tag = f"record {record_index}"
-        return np.array([self.index[(n, tag)] for n in self.dynamics.error_states.names], dtype=np.intp)
+        """Places of these among the unknowns, (n_0,)."""
+        tag, names = f"record {record_index}", self.dynamics.error_states.names
+        return np.array([self.index[(names[i], tag)] for i in self.initial_rows(record_index)], dtype=np.intp)
+
+    def initial_error(self, theta: FloatArray, record_index: int) -> FloatArray:
+        """Initial error state (n_d,) of a record, zero where it is no unknown."""
+        d = np.zeros(len(self.dynamics.error_states))
+        d[self.initial_rows(record_index)] = theta[self.initial_columns(record_index)]
+        return d
 
     def initial_state(self, theta: FloatArray, record_index: int) -> FloatArray:
         """x0 of a record: its measured start moved by the initial error state."""
-        d = theta[self.initial_columns(record_index)]
-        return self.engine.moved(self.records[record_index].x0, d)[0]
+        return self.start_of(theta, record_index)[0]
+
+    def start_of(self, theta: FloatArray, record_index: int) -> tuple[FloatArray, FloatArray]:
+        """(x0 (n_x,), its derivative in the initial errors that are unknowns (n_d, n_0))."""
+        rows = self.initial_rows(record_index)
+        if not rows.size:
+            return self.records[record_index].x0, np.zeros((self.engine.nd, 0))
+        moved, slope = self.engine.moved(self.records[record_index].x0, self.initial_error(theta, record_index))
+        return moved, slope[:, rows]
 
     # ------------------------------------------------------------ cost
 
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies whose inertia is estimated."""
+        return bodies_of(self)
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        """`theta` (n,) moved to where it can be: within its bounds, with inertia that a body can have."""
+        return moved_inside(self.bodies, theta, self.lower, self.upper)
+
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
         """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that many samples."""
+        limit = wall(self.bodies, theta)
+        if not np.isfinite(limit.cost):
+            return Value(cost=np.inf, likelihood=np.inf, valid=False)
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
@@ -178,13 +213,13 @@ class Problem:
         mean = np.array([u.mean for u in self.unknowns])
         precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns])
         off = np.where(precision > 0, theta - mean, 0.0)
-        cost = value.cost + 0.5 * float((precision * off * off).sum())
+        cost = value.cost + limit.cost + 0.5 * float((precision * off * off).sum())
         if order == 0:
             return Value(cost=cost, likelihood=value.cost)
         assert value.gradient is not None and value.hessian is not None
         return Value(
-            cost=cost, likelihood=value.cost, gradient=value.gradient + precision * off,
-            hessian=value.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
+            cost=cost, likelihood=value.cost, gradient=value.gradient + limit.gradient + precision * off,
+            hessian=value.hessian + limit.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
         )  # fmt: skip
 
     def map_records(self, work: Callable[[int], Block]) -> Iterator[Block]:
@@ -233,7 +268,6 @@ def make_problem(
     o = FitOptions.of(options, choices)
     predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
     declared = {d.name: d for d in dynamics.parameters}
-    estimate_initial = o.estimate_initial and predictor.has_initial
 
     def known(names: Iterable[str]) -> list[str]:
         names = list(names)
@@ -267,21 +301,35 @@ def make_problem(
         unknowns += [
             _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n))) for n in chosen if n in own
         ]
-    if estimate_initial:
-        for k, r in enumerate(records):
-            unknowns += [
-                Unknown(
-                    name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
-                    sigma=float(s), scale=float(s), unit=u,
-                )
-                for n, u, s in zip(dynamics.error_states.names, dynamics.error_states.units, r.x0_sigma, strict=True)
-            ]  # fmt: skip
-    return Problem(
+    starts = o.estimate_initial and predictor.has_initial
+    every = [np.ones(engine.nd, dtype=bool)] * len(records)
+    initial = _initial_unknowns(dynamics, records, every) if starts and not predictor.carries_starts else []
+    problem = Problem(
         dynamics=dynamics, engine=engine, predictor=predictor, criterion=criterion, records=records,
-        unknowns=tuple(unknowns), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
+        unknowns=(*unknowns, *initial), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
         means=channel_means(dataset), flights=flights, process_level=process, sensor_level=sensor,
-        estimate_initial=estimate_initial,
+        estimate_initial=bool(initial),
     )  # fmt: skip
+    if not starts or not predictor.carries_starts:
+        return problem
+    told = predictor.told(problem)
+    initial = _initial_unknowns(dynamics, records, [~t for t in told])
+    spreads = tuple(np.where(t, r.x0_sigma, 0.0) for t, r in zip(told, records, strict=True))
+    return replace(problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads)
+
+
+def _initial_unknowns(dynamics: Dynamics, records: Sequence[Record], chosen: Sequence[BoolArray]) -> list[Unknown]:
+    """The initial errors `chosen` (n_d,) of every record as unknowns, with their spread as prior."""
+    d = dynamics.error_states
+    return [
+        Unknown(
+            name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
+            sigma=float(s), scale=float(s), unit=u,
+        )
+        for k, r in enumerate(records)
+        for n, u, s, c in zip(d.names, d.units, r.x0_sigma, chosen[k], strict=True)
+        if c
+    ]  # fmt: skip
 
 
 def _levels(dynamics: Dynamics, dt: float, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:

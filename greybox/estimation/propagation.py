@@ -96,7 +96,7 @@ def run_together(
         raise FitError("an origin has fewer samples after it than the horizon")
     states = np.ascontiguousarray(filtered.states[rows])
     spreads = [p._learned for p in propagators if p._learned is not None]
-    white = [np.repeat(filtered.state_covariance[None], m, axis=0) for _ in propagators]
+    white = [filtered.state_covariances(rows) for _ in propagators]
     learned = np.zeros((m, nd, spreads[0].count if spreads else 0))
     start = np.zeros((m, nd, na + nd))
     start[:, :, na:] = np.eye(nd)

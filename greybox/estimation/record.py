@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from greybox.data import Dataset, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
+from greybox.estimation.channel_pattern import Pattern, pattern_of
 from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
@@ -43,6 +45,11 @@ class Record:
     def n(self) -> int:
         """Number of samples."""
         return self.outputs.shape[0]
+
+    @cached_property
+    def usual(self) -> Pattern:
+        """The channels that are usually there, in a pattern where some come at a lower rate."""
+        return pattern_of(self.mask)
 
 
 def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:

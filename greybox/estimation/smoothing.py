@@ -71,17 +71,15 @@ def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
     assert linear.end_sensitivity is not None
     assert linear.sensitivity is not None
     a, c = linear.end_sensitivity, -linear.sensitivity
-    parts = [runner.riccati.gain(m) for m in record.patterns]
-    gains = np.array([v[0] for v in parts])
-    weights = np.array([np.linalg.inv(v[1]) for v in parts])
-    there = record.patterns != 0
-    p = filtered.state_covariance
+    table, covariance, _ = filtered.gains.tables()
+    weights, there, before = np.linalg.inv(covariance), filtered.gains.there, filtered.gains.covariances
     r, info = np.zeros(nd), np.zeros((nd, nd))
     moved, variance = np.zeros((n, nd)), np.zeros((n, nd))
     for k in range(n - 1, -1, -1):
-        g = record.pattern[k]
+        g = filtered.gains.pattern[k]
+        p = before[g]
         seen = c[k] * there[g][:, None]
-        closed = a[k] - gains[g] @ seen
+        closed = a[k] - table.gain[g] @ seen
         weighted = seen.T @ weights[g]
         r = weighted @ filtered.innovations[k] + closed.T @ r
         info = weighted @ seen + closed.T @ info @ closed
@@ -89,7 +87,7 @@ def smooth(runner: Filter, filtered: Filtered) -> Smoothed:
         variance[k] = np.diag(p) - ((p @ info) * p).sum(axis=1)  # p is symmetric
     x, d = ca.SX.sym("x", engine.nx), ca.SX.sym("d", nd)
     chart = ca.Function("moved", [x, d], [ca.densify(engine.dynamics.boxplus(x, d))])
-    floor = 1e-6 * np.diag(p)
+    floor = 1e-6 * np.diag(filtered.state_covariance)
     return Smoothed(
         filtered=filtered, states=evaluate(chart, filtered.states, moved), variance=np.maximum(variance, floor)
     )

@@ -180,13 +180,13 @@ class BasePredictor:
     def _run_filter(self, segment: Segment) -> Run:
         model = self.model
         assert isinstance(model, IdentifiedModel)
-        p, x0, blind = None, None, max(3, round(START_SECONDS / segment.dt))
+        p, x0, sigma, blind = None, None, None, max(3, round(START_SECONDS / segment.dt))
         if self.adapt is not None and segment.flight not in model.trained_on:
             flight = Flight(name=segment.flight, segments=(segment,))
             found = adapt_to_flight(model, flight, self.adapt, riccati=self.filter.riccati)
-            p, x0 = model.parameter_vector(found.values), found.x0
+            p, x0, sigma = model.parameter_vector(found.values), found.x0, found.x0_sigma
             blind = round(self.adapt / segment.dt)
-        filtered = self.filter.run(segment, p=p, x0=x0)
+        filtered = self.filter.run(segment, p=p, x0=x0, x0_sigma=sigma)
         at = [self.dynamics.outputs[n] for n in self.outputs]
         return Run(
             states=filtered.states[: segment.n], mean=filtered.outputs[:, at],

@@ -17,10 +17,10 @@ import scipy.optimize
 
 from greybox.data import Dataset
 from greybox.errors import FitError
-from greybox.estimation.engine import GainTable, engine_for
+from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import at_reference
-from greybox.estimation.gain import stationary
 from greybox.estimation.record import make_record
+from greybox.estimation.settling import Settling
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 
@@ -45,24 +45,21 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
 
     def cost(levels: FloatArray) -> float:
         try:
-            riccati = stationary(linear, levels**2, model.sensor_noise**2, model.weak**2)
+            settling = Settling(values=linear, q=levels**2, r=model.sensor_noise**2, weak=model.weak**2)
+            filters = [settling.gains(record, record.x0_sigma) for record, _ in runs]
         except FitError:
             return np.inf
         total, count = 0.0, 0
-        for record, p in runs:
-            parts = [riccati.gain(m) for m in record.patterns]
-            gains = GainTable(
-                gain=np.array([v[0] for v in parts]),
-                zero=np.array([not m.any() for m in record.patterns], dtype=np.int32),
-            )
+        for (record, p), found in zip(runs, filters, strict=True):
+            gains, covariance, _ = found.tables()
             run = engine.run(
-                x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
                 gains=gains, p=p, dt=record.dt,
             )  # fmt: skip
             if run.failed_at is not None or run.innovations is None:
                 return np.inf
-            for k, (_, s, *_) in enumerate(parts):
-                e = run.innovations[record.pattern == k]
+            for k, s in enumerate(covariance):
+                e = run.innovations[found.pattern == k]
                 total += 0.5 * float(np.sum(e @ np.linalg.inv(s) * e)) + 0.5 * len(e) * float(np.linalg.slogdet(s)[1])
                 count += len(e)
         return total / max(count, 1)

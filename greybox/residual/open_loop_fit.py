@@ -36,9 +36,10 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import DataError, FitError
-from greybox.estimation.engine import Engine, GainTable, engine_for
+from greybox.estimation.engine import Engine, engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.record import Record, make_record
+from greybox.estimation.settling import RecordGains
 from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
@@ -193,9 +194,10 @@ class Paths:
     def errors(self, record: Record) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """(p, rows (m,), filter's states (n, n_x), errors (m, H, n_e), mask alike) of one record."""
         p = np.concatenate([self.model.flight_vector(record.flight), self.extra])
+        found = self.gains(record)
         run = self.engine.run(
-            x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
-            gains=self.gains(record), p=p, dt=record.dt, want=frozenset({"states"}),
+            x0=record.x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=found.pattern,
+            gains=found.tables()[0], p=p, dt=record.dt, want=frozenset({"states"}),
         )  # fmt: skip
         if run.failed_at is not None or run.states is None:
             raise FitError(f"the prediction of flight {record.flight} is not finite")
@@ -211,18 +213,16 @@ class Paths:
         e = ahead.innovations.reshape(rows.size, length, self.engine.ne)[:, self.chosen]
         return p, rows, run.states, e, record.mask[rows[:, None] + self.chosen]
 
-    def gains(self, record: Record) -> GainTable:
-        """The stationary gain for every pattern of measured channels."""
-        return GainTable(
-            gain=np.array([self.runner.riccati.gain(v)[0] for v in record.patterns]),
-            zero=np.array([not v.any() for v in record.patterns], dtype=np.int32),
-        )
+    def gains(self, record: Record) -> RecordGains:
+        """The filter of one record."""
+        return self.runner.settling.gains(record, record.x0_sigma)
 
     def filtered(
         self, record: Record, p: FloatArray, states: FloatArray, rows: IntArray, bases: Sequence[Basis]
     ) -> list[FloatArray]:
         """Per basis the sensitivity (m, n_d, P) of the filter's state at `rows` (m,) to the whitened weights."""
-        table = self.gains(record).gain
+        found = self.gains(record)
+        table = found.tables()[0].gain
         width = self.engine.past + 1 + self.engine.future
         now = [np.zeros((self.engine.nd, b.size)) for b in bases]
         out = [np.zeros((rows.size, self.engine.nd, b.size)) for b in bases]
@@ -233,7 +233,7 @@ class Paths:
             step = transitions(self.engine, states[at], at, record.inputs, p, record.dt)
             assert step.end_sensitivity is not None
             assert step.sensitivity is not None
-            gain = table[record.pattern[at]]
+            gain = table[found.pattern[at]]
             # `sensitivity` is -C; gains have zero columns for what is not measured.
             closed = step.end_sensitivity + gain @ step.sensitivity
             windows = record.inputs[at[:, None] + np.arange(width)].reshape(at.size, -1)

@@ -19,6 +19,7 @@ from greybox.estimation.filtering import Filter
 from greybox.estimation.gain import Riccati
 from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
+from greybox.estimation.settling import RecordGains, held
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -26,7 +27,8 @@ from greybox.symbolic import FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adaptation:
-    """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters, its start `x0` (n_x).
+    """What the first `seconds` of a flight said: `values` and `std` of its per-flight parameters, its start `x0` (n_x)
+    with the standard errors `x0_sigma` (n_d).
 
     `x0` belongs to the first segment of the flight. `warnings` say what did not work.
     """
@@ -37,6 +39,7 @@ class Adaptation:
     std: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     x0: FloatArray | None = None
+    x0_sigma: FloatArray | None = None
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, dict[str, float | str]]:
@@ -55,9 +58,9 @@ class FixedGain(StationaryGain[None]):
     def prepare(self, problem: Problem) -> None:
         """Nothing to prepare."""
 
-    def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
-        """The given solution."""
-        return self.solution
+    def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
+        """The given solution for every record."""
+        return [held(self.solution, r) for r in problem.records]
 
 
 def adapt_to_flight(
@@ -109,5 +112,12 @@ def adapt_to_flight(
         values={n: float(theta[i]) for n, i in places.items() if i is not None},
         std={n: float(std[i]) for n, i in places.items() if i is not None},
         units={n: declared[n].unit for n in free},
-        x0=problem.initial_state(theta, 0), warnings=tuple(warnings),
+        x0=problem.initial_state(theta, 0), x0_sigma=_spread(problem, std), warnings=tuple(warnings),
     )  # fmt: skip
+
+
+def _spread(problem: Problem, std: FloatArray) -> FloatArray:
+    """Standard errors (n_d,) of the start, those before the flight where the fit has none."""
+    before = problem.records[0].x0_sigma.copy()
+    found = std[problem.initial_columns(0)]
+    return np.where(np.isfinite(found), np.minimum(found, before), before)

@@ -15,6 +15,7 @@ import pytest
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
+from greybox.estimation.settling import RecordGains
 from greybox.residual.hybrid import HybridModel
 from mpc_export.functions import model_functions
 from tests.mpc_export import cases
@@ -192,9 +193,13 @@ def test_uncertainty_travels_as_greybox_propagates_it(kind):
     commands = rng.uniform(0.6, 0.8, size=(past + horizon + 2, len(model.dynamics.inputs)))
     start = model.reference_state
     record = _Record(inputs=commands, n=horizon + 2, dt=0.01)
+    always = np.ones(len(model.dynamics.innovations))
+    settled = RecordGains(
+        solutions=(runner.riccati,), rows=((0, always),), pattern=np.zeros(horizon + 2, dtype=np.int32)
+    )
     filtered = Filtered(
         record=record, states=np.tile(start, (horizon + 2, 1)), innovations=np.zeros((1, 1)), outputs=np.zeros((1, 1)),
-        covariance=np.zeros((1, 1, 1)), state_covariance=runner.riccati.P, p=model.parameter_vector(),
+        covariance=np.zeros((1, 1, 1)), p=model.parameter_vector(), gains=settled,
     )  # fmt: skip
     ahead = list(Propagator(runner, use_compiler=False).run(filtered, np.array([0]), horizon))
     n, size = functions.own_error_states, functions.sizes

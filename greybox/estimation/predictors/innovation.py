@@ -1,11 +1,12 @@
-"""Innovation form with a stationary gain: the one-step predictor of a model with process noise.
+"""Innovation form with a gain that does not follow the flight: the one-step predictor of a model with process noise.
 
     x_hat(k+1) = F(x_hat(k), u_k) boxplus K e_k,   e_k = y_k - h(x_hat(k), u_k),   cov(e) = S
 
-K and S follow from the noise levels (and parameters) by the Riccati equation at a reference point; where channels are
-missing the same state covariance gives the gain of those that are there. Sensitivities include dK and dS: they are the
-exact derivatives of the predictor. (Ljung 1999, System Identification, sec. 4.3 and 7.2; Jategaonkar 2015, Flight Vehicle
-System Identification, ch. 5: filter-error method.)
+K and S follow from the noise levels (and parameters) by the Riccati equation at a reference point, from the spread of the
+start until they have settled (`greybox.estimation.settling`); where channels are missing the same state covariance gives
+the gain of those that are there. Errors of the start that samples tell are integrated out so, the others are unknowns.
+Sensitivities include dK and dS: they are the exact derivatives of the predictor. (Ljung 1999, System Identification, sec.
+4.3 and 7.2; Jategaonkar 2015, Flight Vehicle System Identification, ch. 5: filter-error method.)
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from typing import ClassVar, final
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Linearisation, Riccati, linearisation_at, stationary
+from greybox.estimation.gain import Linearisation, Riccati, linearisation_at
 from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
 from greybox.estimation.predictor import Predictor, Prepared_co
 from greybox.estimation.problem import Block, Problem
-from greybox.symbolic import FloatArray
+from greybox.estimation.settling import RecordGains, Settling
+from greybox.symbolic import BoolArray, FloatArray
 
 FORGOTTEN = 1e-100
 """Sensitivity that is zero for the next piece. Of its start a long record forgets everything; numbers below 1e-308, which
@@ -54,50 +55,28 @@ class StationaryGain(Predictor[Prepared_co]):
     piece: int = field(default=20_000, compare=False)
 
     @abstractmethod
-    def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
-        """Riccati solution at `theta`, and with `slopes` its derivatives in local columns. Raises `FitError`."""
-
-    def tables(
-        self, riccati: Riccati, patterns: FloatArray, extra: int
-    ) -> tuple[GainTable, FloatArray, FloatArray | None]:
-        """(gains, covariances, covariance slopes) per pattern, with `extra` columns of zero slope appended."""
-        parts = [riccati.gain(m) for m in patterns]
-        k = np.array([v[0] for v in parts])
-        s = np.array([v[1] for v in parts])
-        zero = np.array([not m.any() for m in patterns], dtype=np.int32)
-        if riccati.dN is None:
-            return GainTable(gain=k, zero=zero), s, None
-        dk = np.moveaxis(np.array([v[2] for v in parts]), 1, -1)
-        dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
-        ds = np.array([v[3] for v in parts])
-        ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)
-        return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+    def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
+        """The filter of every record at `theta`, and with `slopes` its derivatives in local columns. Raises `FitError`."""
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Innovations of every record, one after the other: what is done with may be forgotten."""
-        riccati = self.riccati(problem, theta, jacobian)
+        filters = self.gains(problem, theta, jacobian)
         engine = problem.engine
-        free_start = problem.estimate_initial
-        nd = engine.nd if free_start else 0
         places = [problem.place(n) for n in noise_names(problem)]
         noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
-        ns = len(engine.active) + noise_columns.size + nd
 
         def pieces(i: int) -> Iterator[Block]:
             record = problem.records[i]
-            patterns, which = riccati.distinct(record.patterns)
-            pattern = which[record.pattern].astype(np.int32)
-            gains, covariance, slope = self.tables(riccati, patterns, nd)
-            x = problem.initial_state(theta, i) if free_start else record.x0
+            pattern = filters[i].pattern
+            x, moved = problem.start_of(theta, i)
+            initial = problem.initial_columns(i)
+            gains, covariance, slope = filters[i].tables(initial.size)
+            columns = np.concatenate([problem.local_columns(record.flight), noise_columns, initial])
             s: FloatArray | None = None
             if jacobian:
-                s = np.zeros((engine.nd, ns))
-                if free_start:
-                    # Derivative of the moved start in its own chart (identity to first order in the small move).
-                    s[:, ns - nd :] = engine.moved(record.x0, theta[problem.initial_columns(i)])[1]
-            columns = [problem.local_columns(record.flight), noise_columns]
-            if free_start:
-                columns.append(problem.initial_columns(i))
+                s = np.zeros((engine.nd, columns.size))
+                # Derivative of the moved start in its own chart (identity to first order in the small move).
+                s[:, columns.size - initial.size :] = moved
             p = problem.parameters_of(theta, record.flight)
             length = self.piece if jacobian else record.n
             for begin in range(0, record.n, length):
@@ -117,7 +96,7 @@ class StationaryGain(Predictor[Prepared_co]):
                     s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
                 yield Block(
                     record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
-                    columns=np.concatenate(columns), covariance=covariance, covariance_slope=slope,
+                    columns=columns, covariance=covariance, covariance_slope=slope,
                     pattern=pattern[rows],
                 )  # fmt: skip
 
@@ -151,7 +130,33 @@ class Innovation(StationaryGain[InnovationPrepared]):
         )
 
     def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
-        """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
+        """Stationary solution with all channels at `theta`, see `settling`."""
+        return self.settling(problem, theta, slopes).settled()[0]
+
+    def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
+        """The filter of every record at `theta`, from the spread of its start as far as that is no unknown."""
+        settling = self.settling(problem, theta, slopes)
+        spreads = problem.spreads or [None] * len(problem.records)
+        return [settling.gains(r, spread) for r, spread in zip(problem.records, spreads, strict=True)]
+
+    @property
+    def carries_starts(self) -> bool:
+        """Its filter starts with the covariance of the start."""
+        return True
+
+    def told(self, problem: Problem) -> list[BoolArray]:
+        """The initial errors that the linearisation at nominal parameters and noise levels lets the samples tell."""
+        prepared, d = problem.prepared(self), problem.dynamics
+        x, window = prepared.reference
+        p = np.array([q.nominal for q in d.parameters])
+        nominal = Settling(
+            values=prepared.linearisation.values(x, window, p, problem.dt), q=d.noise_scale(problem.dt) ** 2,
+            r=d.sensor_scale() ** 2, weak=prepared.weak,
+        )  # fmt: skip
+        return [nominal.told(r) for r in problem.records]
+
+    def settling(self, problem: Problem, theta: FloatArray, slopes: bool) -> Settling:
+        """The filter at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
         prepared = problem.prepared(self)
         lin, weak, lost = prepared.linearisation, prepared.weak, prepared.lost
         x, window = prepared.reference
@@ -160,7 +165,7 @@ class Innovation(StationaryGain[InnovationPrepared]):
         q, r = process**2, sensor**2
         if not slopes:
             pushes = None if lost is None else lost.at(x, window, p, problem.dt)
-            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=pushes)
+            return Settling(values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes)
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain.
         shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=float)
@@ -173,7 +178,9 @@ class Innovation(StationaryGain[InnovationPrepared]):
         dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
         dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
         keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
-        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], pushes)
+        return Settling(
+            values=values, q=q, r=r, weak=weak, slopes=dvalues, dq=dq[keep], dr=dr[keep], lost=pushes
+        )
 
 
 def noise_names(problem: Problem) -> list[str]:

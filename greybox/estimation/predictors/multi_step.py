@@ -24,7 +24,7 @@ from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.problem import Block, Problem
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 
 @final
@@ -50,11 +50,19 @@ class MultiStep(Predictor[InnovationPrepared]):
         """As the innovation form."""
         return problem.prepared(self.filter)
 
+    @property
+    def carries_starts(self) -> bool:
+        """As the innovation form."""
+        return True
+
+    def told(self, problem: Problem) -> list[BoolArray]:
+        """As the innovation form."""
+        return self.filter.told(problem)
+
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, windows in order of time and horizons inside each window."""
         engine = problem.engine
-        riccati = self.filter.riccati(problem, theta, jacobian)
-        nd = engine.nd if problem.estimate_initial else 0
+        filters = self.filter.gains(problem, theta, jacobian)
         chosen = np.array(sorted(set(self.horizons))) - 1
 
         def work(i: int) -> Block:
@@ -62,10 +70,10 @@ class MultiStep(Predictor[InnovationPrepared]):
             length = min(int(chosen[-1]) + 1, record.n)
             at = chosen[chosen < length]
             x0, s0, columns = start_of(problem, theta, i)
-            gains, _, _ = self.filter.tables(riccati, record.patterns, nd)
+            gains, _, _ = filters[i].tables(problem.initial_columns(i).size)
             p = problem.parameters_of(theta, record.flight)
             passed = engine.run(
-                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=record.pattern,
+                x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=filters[i].pattern,
                 gains=gains, p=p, dt=record.dt, s0=s0 if jacobian else None,
                 want=frozenset({"states", "state_sensitivity"}),
             )  # fmt: skip

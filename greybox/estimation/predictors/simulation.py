@@ -60,13 +60,7 @@ def start_of(
     problem: Problem, theta: FloatArray, record_index: int
 ) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
     """(x0 (n_x,), its sensitivity s0 (n_d, n_s), columns (n_s,)): active parameters first, then the initial error state."""
-    record, engine = problem.records[record_index], problem.engine
-    columns = problem.local_columns(record.flight)
-    na = columns.size
-    if not problem.estimate_initial:
-        return record.x0, np.zeros((engine.nd, na)), columns
-    own = problem.initial_columns(record_index)
-    moved, slope = engine.moved(record.x0, theta[own])
-    s0 = np.zeros((engine.nd, na + engine.nd))
-    s0[:, na:] = slope
-    return moved, s0, np.concatenate([columns, own])
+    columns = problem.local_columns(problem.records[record_index].flight)
+    x0, slope = problem.start_of(theta, record_index)
+    s0 = np.concatenate([np.zeros((problem.engine.nd, columns.size)), slope], axis=1)
+    return x0, s0, np.concatenate([columns, problem.initial_columns(record_index)])

@@ -1,0 +1,323 @@
+"""Gains of a filter over a record: from the covariance that its start has until they have settled, then the settled ones.
+
+The covariance of the predicted state runs on the linearisation at the reference point, from the spread of the start, over
+the samples with their channels (`greybox.estimation.elements`). It is followed sample by sample first, then at times that
+grow in proportion, each taken in the middle of the stretch of samples that it stands for: without process noise a filter
+never settles, its gain falls like 1/k (recursive least squares; Ljung 1999, System Identification, sec. 11.2), and
+log2(n) stretches with a few nodes each follow it. The nodes depend on sample numbers only, so that derivatives are exact.
+
+Channels that come at a lower rate repeat in a pattern of L samples. The settled covariance is then periodic (Bittanti,
+Colaneri and De Nicolao 1991, The Riccati Equation, ch. 6): one per phase. Where channels are missing without a pattern
+the covariance is that of the channels that are usually there, and every sample gets the gain of those it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.errors import FitError
+from greybox.estimation.channel_pattern import Pattern
+from greybox.estimation.elements import Element, System
+from greybox.estimation.engine import GainTable, IntArray
+from greybox.estimation.gain import Riccati, SystemSamples, extended, smith, stationary
+from greybox.estimation.lost_commands import Pushes
+from greybox.estimation.record import Record
+from greybox.symbolic import BoolArray, FloatArray
+
+FIRST = 8
+"""SystemSamples at the start whose covariances are followed one by one."""
+STRETCHES = 2
+"""Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth about its middle."""
+PHASES = 1
+"""The same where every stretch has a gain for each phase of a pattern."""
+SETTLED = 1e-6
+"""Relative difference to the settled gain from which on it is that one. A wrong gain costs the square of
+that."""
+TOLD = 0.5
+"""Standard deviation of an error of the start, given all samples, in units of that without them, below which the
+linearisation tells it. Of the others (heading without a compass) the flight itself may tell more."""
+NOTHING = 1e-6
+"""Share of the pseudo-measurement's spread (100 times that of a start) that counts as no error of a state."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretch:
+    """SystemSamples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
+
+    begin: int
+    end: int
+    node: int
+
+
+def one_by_one(length: int) -> int:
+    """SystemSamples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
+    return -(-FIRST // length) * length
+
+
+def stretches(n: int, length: int) -> Iterator[Stretch]:
+    """The stretches of n samples with a pattern of `length`, see `FIRST`, `STRETCHES` and `PHASES`."""
+    whole = one_by_one(length)
+    for t in range(min(whole, n)):
+        yield Stretch(begin=t, end=t + 1, node=t)
+    count, part = whole // length, STRETCHES if length == 1 else PHASES
+    while count * length < n:
+        size = 1 << max(0, (count // part).bit_length() - 1)
+        yield Stretch(begin=count * length, end=min((count + size) * length, n), node=(count + size // 2) * length)
+        count += size
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordGains:
+    """Filter of one record: `solutions` and, for every sample, the row of the tables made of them.
+
+    `rows` (n_row) pairs of a solution's place and the channels there (as in `Record.patterns`); `pattern` (n,).
+    """
+
+    solutions: tuple[Riccati, ...]
+    rows: tuple[tuple[int, FloatArray], ...]
+    pattern: IntArray
+
+    def tables(self, extra: int = 0) -> tuple[GainTable, FloatArray, FloatArray | None]:
+        """(gains, covariances (n_row, n_e, n_e), their slopes) with `extra` columns of zero slope appended."""
+        parts = [self.solutions[i].row(there) for i, there in self.rows]
+        k = np.array([v.K for v in parts])
+        s = np.array([v.S for v in parts])
+        zero = np.array([not there.any() for _, there in self.rows], dtype=np.int32)
+        slopes = [(v.dK, v.dS) for v in parts if v.dK is not None and v.dS is not None]
+        if not slopes:
+            return GainTable(gain=k, zero=zero), s, None
+        dk, ds = np.array([v[0] for v in slopes]), np.array([v[1] for v in slopes])
+        if extra:
+            dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
+            ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)
+        return GainTable(gain=k, zero=zero, derivative=dk), s, ds
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance of the predicted state per row of the tables, (n_row, n_d, n_d)."""
+        return np.array([self.solutions[i].P for i, _ in self.rows])
+
+    @property
+    def there(self) -> BoolArray:
+        """Channels that are measured per row of the tables, (n_row, n_e)."""
+        return np.array([there != 0 for _, there in self.rows])
+
+
+def held(solution: Riccati, record: Record) -> RecordGains:
+    """The filter of a record with one covariance from its first sample to its last."""
+    few, kind = solution.distinct(record.patterns)
+    rows = tuple((0, there) for there in few)
+    return RecordGains(solutions=(solution,), rows=rows, pattern=kind[record.pattern].astype(np.int32))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settling:
+    """The filter of one linear system, and how it gets there from a start. Not for several threads at once.
+
+    values (A, G, C, D), q, r, weak, slopes, dq, dr, lost as in `greybox.estimation.gain.stationary`. Raises `FitError`
+    where there is no stationary filter.
+    """
+
+    values: tuple[FloatArray, ...]
+    q: FloatArray
+    r: FloatArray
+    weak: FloatArray
+    slopes: tuple[FloatArray, ...] | None = None
+    dq: FloatArray | None = None
+    dr: FloatArray | None = None
+    lost: Pushes | None = None
+    _known: dict[bytes, list[Riccati]] = field(default_factory=dict)
+    _walks: dict[tuple[bytes, bytes, bytes], _Walk] = field(default_factory=dict)
+    _elements: dict[bytes, list[Element]] = field(default_factory=dict)
+
+    def settled(self, pattern: Pattern | None = None) -> list[Riccati]:
+        """The solution for every phase of a pattern; of all channels all the time without one."""
+        usual = pattern is None or bool(pattern.there.all())
+        key = b"" if usual or pattern is None else pattern.there.tobytes()
+        if key not in self._known:
+            self._known[key] = [self._always()] if usual or pattern is None else self._periodic(pattern)
+        return self._known[key]
+
+    def gains(self, record: Record, spread: FloatArray | None) -> RecordGains:
+        """The filter of a record, from the standard deviations `spread` (n_d,) of the errors of its start; without them
+        as if it had always run."""
+        pattern = record.usual
+        solutions = list(self.settled(pattern))
+        node = np.arange(record.n) % len(solutions)
+        if spread is not None:
+            early, at = self._early(record, pattern, spread)
+            node = np.where(at >= 0, at + len(solutions), node)
+            solutions += early
+        few, kind = solutions[0].distinct(record.patterns)
+        pairs, row = np.unique(node * len(few) + kind[record.pattern], return_inverse=True)
+        rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in pairs)
+        return RecordGains(solutions=tuple(solutions), rows=rows, pattern=row.ravel().astype(np.int32))
+
+    def _always(self) -> Riccati:
+        return stationary(self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost)
+
+    def told(self, record: Record) -> BoolArray:
+        """Which errors of a record's start (n_d,) its samples tell, as far as the linearisation knows."""
+        pattern = record.usual
+        e = self.cycle(pattern, max(0, (record.n // pattern.length).bit_length() - 1))
+        sigma = record.x0_sigma / self._unit
+        # The pseudo-measurement tells nothing of a start: it is a hundred times as wide.
+        after = np.linalg.inv(np.eye(sigma.size) + sigma[:, None] * e.G * sigma)
+        return np.asarray(np.diag(after) < TOLD**2)
+
+    # ------------------------------------------------------------ covariances
+
+    @cached_property
+    def _samples(self) -> SystemSamples:
+        return SystemSamples(
+            values=self.values, q=self.q, r=self.r, slopes=self.slopes, dq=self.dq, dr=self.dr, lost=self.lost
+        )  # fmt: skip
+
+    @cached_property
+    def _unit(self) -> FloatArray:
+        return np.sqrt(self.weak)
+
+    @cached_property
+    def _system(self) -> System:
+        a, g, c, d = self.values
+        slopes = None
+        if self.slopes is not None and self.dq is not None and self.dr is not None:
+            da, dg, dc, dd = (extended(v, self.dq.shape[0]) for v in self.slopes)
+            slopes = da, dg, dc, dd, self.dq, self.dr
+        system = System(a=a, g=g, c=c, d=d, q=self.q, r=self.r, weak=self.weak, slopes=slopes)
+        return system.scaled(self._unit)
+
+    def element(self, there: BoolArray, times: int = 0) -> Element:
+        """2^times samples with the channels `there`."""
+        known = self._elements.setdefault(there.tobytes(), [])
+        if not known:
+            known.append(self._system.element(there))
+        while len(known) <= times:
+            known.append(known[-1].then(known[-1]))
+        return known[times]
+
+    def cycle(self, pattern: Pattern, times: int = 0) -> Element:
+        """2^times repetitions of a pattern."""
+        if pattern.length == 1:
+            return self.element(pattern.there[0], times)
+        known = self._elements.setdefault(b"cycle" + pattern.there.tobytes(), [])
+        if not known:
+            whole = self.element(pattern.there[0])
+            for there in pattern.there[1:]:
+                whole = whole.then(self.element(there))
+            known.append(whole)
+        while len(known) <= times:
+            known.append(known[-1].then(known[-1]))
+        return known[times]
+
+    def solution(self, p: FloatArray, dp: FloatArray | None) -> Riccati:
+        """What gains need from `p` and `dp` in units of the pseudo-measurement."""
+        square = np.outer(self._unit, self._unit)
+        return self._samples.at(p * square, None if dp is None else dp * square)
+
+    def _zero(self) -> FloatArray | None:
+        if self.dq is None:
+            return None
+        n = self.weak.size
+        return np.zeros((self.dq.shape[0], n, n))
+
+    def _periodic(self, pattern: Pattern) -> list[Riccati]:
+        cycle = self.cycle(pattern)
+        p = cycle.settled()
+        if p is None:
+            raise FitError(
+                "the Riccati equation of the predictor has no stationary solution",
+                fix="measure the states that drift, or use the extended Kalman filter predictor",
+            )
+        _, dp = cycle.moved(p, self._zero())
+        if dp is not None:
+            dp = smith(cycle.closed(p), dp)
+        return self.phases(p, dp, pattern)[0]
+
+    def phases(
+        self, p: FloatArray, dp: FloatArray | None, pattern: Pattern
+    ) -> tuple[list[Riccati], FloatArray, FloatArray | None]:
+        """(the solution of every phase, P and dP one pattern later), from P before the first phase."""
+        found = []
+        for there in pattern.there:
+            found.append(self.solution(p, dp))
+            if pattern.length > 1:
+                p, dp = self.element(there).moved(p, dp)
+        return found, p, dp
+
+    def _early(
+        self, record: Record, pattern: Pattern, spread: FloatArray
+    ) -> tuple[list[Riccati], npt.NDArray[np.intp]]:
+        """(solutions before the filter has settled, which of them every sample (n,) has; -1: settled).
+
+        Records that start alike share them.
+        """
+        length, settled = pattern.length, self.settled(pattern)
+        first = one_by_one(length)
+        actual = np.asarray(record.mask[:first] != 0)
+        key = spread.tobytes(), actual.tobytes(), pattern.there.tobytes()
+        if key not in self._walks:
+            self._walks[key] = _Walk(
+                settling=self, pattern=pattern, actual=actual, p=np.diag((spread / self._unit) ** 2),
+                dp=self._zero(),
+            )  # fmt: skip
+        walk = self._walks[key]
+        at = np.full(record.n, -1, dtype=np.intp)
+        place = 0
+        for stretch in stretches(record.n, length):
+            phases = 1 if stretch.begin < first else length
+            if place == len(walk.found):
+                walk.go_on(stretch.node, phases)
+            new = walk.found[place : place + phases]
+            if stretch.begin >= first and all(self._alike(a, b) for a, b in zip(new, settled, strict=True)):
+                break
+            rows = np.arange(stretch.begin, stretch.end)
+            at[rows] = place + (rows - stretch.begin) % phases
+            place += phases
+        return walk.found[:place], at
+
+    def _alike(self, one: Riccati, settled: Riccati) -> bool:
+        """Whether gains and innovation covariances agree to `SETTLED`."""
+        s = np.sqrt(np.diag(settled.S))
+        # A state without noise, which settles at zero, counts as zero from some size on.
+        size = np.sqrt(np.diag(settled.P)) + NOTHING * self._unit
+        off_s = np.abs(one.S - settled.S) / np.outer(s, s)
+        off_n = np.abs(one.N - settled.N) / np.outer(size, s)
+        return bool(max(off_s.max(initial=0.0), off_n.max(initial=0.0)) <= SETTLED)
+
+
+@dataclass(kw_only=True, eq=False)
+class _Walk:
+    """The covariance `p` (with slopes `dp`) at sample `t` of the records of one start, and the solutions `found` so far."""
+
+    settling: Settling
+    pattern: Pattern
+    actual: BoolArray  # channels of the first samples
+    p: FloatArray
+    dp: FloatArray | None
+    t: int = 0
+    found: list[Riccati] = field(default_factory=list)
+
+    def go_on(self, node: int, phases: int) -> None:
+        """Add the solutions of the `phases` samples from `node` on."""
+        while self.t < min(node, len(self.actual)):
+            self._move(self.settling.element(self.actual[self.t]), 1)
+        length = self.pattern.length
+        while self.t < node:
+            times = ((node - self.t) // length).bit_length() - 1
+            self._move(self.settling.cycle(self.pattern, times), length << times)
+        if phases == 1:
+            self.found.append(self.settling.solution(self.p, self.dp))
+            return
+        new, self.p, self.dp = self.settling.phases(self.p, self.dp, self.pattern)
+        self.found += new
+        self.t += length
+
+    def _move(self, element: Element, samples: int) -> None:
+        self.p, self.dp = element.moved(self.p, self.dp)
+        self.t += samples
