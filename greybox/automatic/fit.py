@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from greybox.automatic.decide import Decided, Given, Say, decide
-from greybox.automatic.facts import facts_of
-from greybox.automatic.flights import LeftOut, at_rate, needed_rate, sound_flights
+from greybox.automatic.decide import Decided, Say
+from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
 from greybox.automatic.samples import Removed, without_impossible
 from greybox.automatic.sets import BASE
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
+from greybox.data.conditioning import condition
+from greybox.data.raw import RawLog
 from greybox.errors import FitError
 from greybox.estimation.fit import Progress, fit
 from greybox.estimation.recipe import Decision, Recipe
@@ -29,7 +30,8 @@ from greybox.model.vehicle import Vehicle
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """Flights as they are fitted, and what was done to them."""
+    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were resampled
+    to, None: their own."""
 
     data: Dataset
     report: CheckReport
@@ -41,34 +43,66 @@ class Prepared:
         """What was done, as decisions."""
         out = []
         if self.rate is not None:
+            reason = "enough for the response of this craft, and one rate for all flights"
             out.append(
-                Decision(
-                    about="rate", choice=f"{self.rate:g} Hz",
-                    reason="enough for the response of this craft, and one rate for all flights", option="--rate",
-                )
+                Decision(about="rate", choice=f"{self.rate:g} Hz", reason=reason, option="--rate")
             )
         out += [
             Decision(
-                about="impossible samples", choice=f"{r.count} of {', '.join(r.channels)} missing in {r.flight}",
-                reason=r.reason, option="--keep-impossible",
+                about="impossible samples",
+                choice=f"{r.count} of {', '.join(r.channels)} missing in {r.flight}",
+                reason=f"{r.reason}, the first at t = {r.first_time:.2f} s",
+                option="--keep-impossible",
             )
             for r in self.removed
         ]
         out += [
-            Decision(about="flight", choice=f"{f.flight} left out", reason=f.reason, option="--train")
+            Decision(
+                about="flights",
+                choice=f"{f.flight} left out",
+                reason=f.reason,
+                option="--all-flights",
+            )
             for f in self.left_out
         ]
         return tuple(out)
 
 
-def prepare(vehicle: Vehicle, data: Dataset, *, rate: float | None = None) -> Prepared:
-    """Clean, resample and choose the flights. `rate` [Hz] is what the user asked for (None: open)."""
-    clean, removed = without_impossible(data, vehicle)
-    report = check(clean, vehicle)
-    kept, left_out = sound_flights(clean, vehicle, report)
+def read_flights(
+    logs: Sequence[RawLog], vehicle: Vehicle, *, rate: float | None = None, trim: bool = True
+) -> Dataset:
+    """Raw logs on a uniform clock of `rate` [Hz] (None: their own). Raises `DataError`."""
+    return Dataset(flights=tuple(condition(r, vehicle, rate=rate, trim=trim) for r in logs))
+
+
+def prepare(
+    vehicle: Vehicle,
+    logs: Sequence[RawLog] | Dataset,
+    *,
+    rate: float | None = None,
+    keep_impossible: bool = False,
+    all_flights: bool = False,
+) -> Prepared:
+    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open).
+
+    Raises `DataError` for logs that are no flights.
+    """
+    trim = not isinstance(logs, Dataset)
+    raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
+    removed: tuple[Removed, ...] = ()
+    if not keep_impossible:
+        cleaned = [without_impossible(r, vehicle) for r in raws]
+        raws, removed = [c[0] for c in cleaned], tuple(x for c in cleaned for x in c[1])
+    if isinstance(logs, Dataset) and not removed:
+        data = logs
+    else:
+        data = read_flights(raws, vehicle, trim=trim)
+    report = check(data, vehicle)
+    kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
     wanted = rate or needed_rate(kept)
     if wanted is not None:
-        kept = at_rate(kept, vehicle, wanted)
+        chosen = [r for r in raws if r.flight in kept.names]
+        kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
     return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from greybox.automatic.facts import response_rate
 from greybox.data import Dataset, Flight
 from greybox.data.checks import CheckReport
-from greybox.data.conditioning import condition
 from greybox.data.raw import RawLog
 from greybox.model.vehicle import Vehicle
 
@@ -52,16 +51,14 @@ def needed_rate(data: Dataset) -> float | None:
     return None
 
 
-def at_rate(data: Dataset, vehicle: Vehicle, rate: float) -> Dataset:
-    """The flights on a uniform clock of `rate` [Hz], averaged where it is slower than theirs."""
-    return Dataset(flights=tuple(condition(_raw(f), vehicle, rate=rate, trim=False) for f in data))
-
-
-def _raw(flight: Flight) -> RawLog:
+def raw_log(flight: Flight) -> RawLog:
+    """A flight in memory as the log that it might have been read from."""
     t = np.concatenate([s.t for s in flight.segments])
     return RawLog(
         t=t,
-        channels={n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels},
+        channels={
+            n: np.concatenate([s.channels[n] for s in flight.segments]) for n in flight.channels
+        },
         extra={},
         rows=np.arange(1, t.size + 1, dtype=np.int64),
         flight=flight.name,

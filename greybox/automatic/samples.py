@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.data import Dataset, Flight, Segment
-from greybox.data.channel import channel, is_canonical
+from greybox.data.channel import channel
+from greybox.data.raw import RawLog
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -46,19 +46,9 @@ class Removed:
         )
 
 
-def without_impossible(data: Dataset, vehicle: Vehicle) -> tuple[Dataset, tuple[Removed, ...]]:
-    """`data` with samples that cannot be as missing cells, and what was removed."""
+def without_impossible(raw: RawLog, vehicle: Vehicle) -> tuple[RawLog, tuple[Removed, ...]]:
+    """`raw` with samples that cannot be as missing cells, and what was removed."""
     removed: list[Removed] = []
-    flights = []
-    for flight in data:
-        segments = tuple(_cleaned(s, flight, vehicle, removed) for s in flight.segments)
-        changed = any(a is not b for a, b in zip(segments, flight.segments, strict=True))
-        notes = tuple(r.line() for r in removed if r.flight == flight.name)
-        flights.append(replace(flight, segments=segments, notes=flight.notes + notes) if changed else flight)
-    return Dataset(flights=tuple(flights)), tuple(removed)
-
-
-def _cleaned(segment: Segment, flight: Flight, vehicle: Vehicle, removed: list[Removed]) -> Segment:
     new: dict[str, FloatArray] = {}
     top = vehicle.actuator.speed_max
 
@@ -67,40 +57,49 @@ def _cleaned(segment: Segment, flight: Flight, vehicle: Vehicle, removed: list[R
             return
         at = np.flatnonzero(bad)
         for n in names:
-            column = new.get(n, np.array(segment.channels[n]))
+            column = np.array(new.get(n, raw.channels[n]), dtype=np.float64)
             column[at] = np.nan
             new[n] = column
+        worst = float(values[at][np.argmax(np.abs(values[at]))])
         removed.append(
             Removed(
-                flight=flight.name, channels=names, count=int(at.size),
-                worst=float(values[at][np.argmax(np.abs(values[at]))]), first_time=float(segment.t[at[0]]),
+                flight=raw.flight,
+                channels=names,
+                count=int(at.size),
+                worst=worst,
+                first_time=float(raw.t[at[0]]),
                 reason=reason,
             )
         )
 
-    for name, values in segment.channels.items():
-        if not is_canonical(name):
-            continue
+    for name, values in raw.channels.items():
         declared = channel(name)
         if declared.group in ("command", "setpoint"):
             continue
         with np.errstate(invalid="ignore"):
-            drop((name,), (values < declared.lower) | (values > declared.upper), values, "outside its range")
+            outside = (values < declared.lower) | (values > declared.upper)
+            drop((name,), outside, values, "outside its range")
             if declared.group == "rotor_speed" and top is not None:
                 limit = OVERSPEED * top
-                drop((name,), values > limit, values, f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s")
-    for names, explained in _explained(segment, vehicle).items():
-        block = np.column_stack([new.get(n, segment.channels[n]) for n in names])
-        bad, size = _alone(block, explained)
+                reason = f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s"
+                drop((name,), ~outside & (values > limit), values, reason)
+    for names, explained in _explained(raw, vehicle).items():
+        bad, size = _alone(np.column_stack([new.get(n, raw.channels[n]) for n in names]), explained)
         drop(names, bad, size, "one sample that no motion of the craft explains")
-    return segment.replace({**segment.channels, **new}) if new else segment
+    if not removed:
+        return raw, ()
+    notes = (*raw.notes, *(r.line() for r in removed))
+    return replace(raw, channels={**raw.channels, **new}, notes=notes), tuple(removed)
 
 
-def _explained(segment: Segment, vehicle: Vehicle) -> Mapping[tuple[str, ...], FloatArray]:
+def _explained(raw: RawLog, vehicle: Vehicle) -> Mapping[tuple[str, ...], FloatArray]:
     """Channel group -> how far a sample can lie from the middle of its neighbours, (n,)."""
     out: dict[tuple[str, ...], FloatArray] = {}
-    dt, n = segment.dt, segment.n
-    have = set(segment.names)
+    n = raw.n
+    if n < 5:
+        return out
+    dt = float(np.median(np.diff(raw.t)))
+    have = set(raw.channels)
     place, speed, turn = ("x", "y", "z"), ("vx", "vy", "vz"), ("p", "q", "r")
     attitude = ("qw", "qx", "qy", "qz")
     thrust = sum(max(c.value, 0.0) for c in vehicle.actuator.thrust) * len(vehicle.rotors)
@@ -110,13 +109,12 @@ def _explained(segment: Segment, vehicle: Vehicle) -> Mapping[tuple[str, ...], F
     if have.issuperset(speed):
         out[speed] = np.full(n, push * dt)
     arm = max(float(np.hypot(r.position[0], r.position[1])) for r in vehicle.rotors)
-    smallest = min(float(vehicle.inertia[i][i]) for i in range(3))
-    twist = arm * thrust / smallest
+    twist = arm * thrust / min(float(vehicle.inertia[i][i]) for i in range(3))
     if have.issuperset(turn):
         out[turn] = np.full(n, twist * dt)
         if have.issuperset(attitude):
-            rate = np.nan_to_num(np.linalg.norm(np.column_stack([segment.channels[c] for c in turn]), axis=1))
-            out[attitude] = 0.5 * (0.5 * rate * dt) ** 2 + 0.25 * twist * dt**2
+            rate = np.linalg.norm(np.column_stack([raw.channels[c] for c in turn]), axis=1)
+            out[attitude] = 0.5 * (0.5 * np.nan_to_num(rate) * dt) ** 2 + 0.25 * twist * dt**2
     return out
 
 
