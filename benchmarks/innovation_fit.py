@@ -110,13 +110,17 @@ def problem_of(model: Any, data: Any, predictor: Any = None) -> Any:
 
 def held_predictor() -> Any:
     """The innovation form whose gain and covariance stay those of the start values."""
-    from greybox.estimation.predictors.innovation import Innovation
+    from greybox.estimation.gain import Riccati
+    from greybox.estimation.predictors.innovation import Innovation, StationaryGain
 
-    class GainHeld(Innovation):
-        def riccati(self, problem: Any, theta: Any, slopes: bool) -> Any:
-            if "held" not in problem.state:
-                problem.state["held"] = super().riccati(problem, problem.start, False)
-            return problem.state["held"]
+    class GainHeld(StationaryGain[Riccati]):
+        name = "innovation"
+
+        def prepare(self, problem: Any) -> Riccati:
+            return Innovation().riccati(problem, problem.start, False)
+
+        def riccati(self, problem: Any, theta: Any, slopes: bool) -> Riccati:
+            return problem.prepared(self)
 
     return GainHeld()
 

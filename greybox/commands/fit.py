@@ -7,7 +7,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.estimation.options import FitOptions
+    from greybox.estimation.result import Fit
+    from greybox.estimation.solver import Progress, Solver
+    from greybox.model.vehicle import Vehicle
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -86,7 +93,9 @@ def model_options(p: Any) -> None:
     p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
 
 
-def fit_with(arguments: argparse.Namespace, vehicle: Any, train: Any, progress: Any = None) -> Any:
+def fit_with(
+    arguments: argparse.Namespace, vehicle: Vehicle, train: Dataset, progress: Progress | None = None
+) -> Fit:
     """Build the model that the options ask for and fit it to the flights of `train`. Returns a `Fit`."""
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
@@ -102,9 +111,15 @@ def fit_with(arguments: argparse.Namespace, vehicle: Any, train: Any, progress: 
         noncausal=train.noncausal,
         kinematic_noise=arguments.kinematic_noise,
     )
-    return fit(
-        model,
-        train,
+    return fit(model, train, fit_options(arguments), progress=progress)
+
+
+def fit_options(arguments: argparse.Namespace) -> FitOptions:
+    """The choices that the command's arguments make."""
+    from greybox.estimation.options import FitOptions
+
+    held = arguments.hold_noise
+    return FitOptions(
         predictor=arguments.predictor,
         criterion=arguments.criterion,
         solver=_solver(arguments.solver, arguments.max_iterations),
@@ -116,9 +131,8 @@ def fit_with(arguments: argparse.Namespace, vehicle: Any, train: Any, progress: 
         shared=arguments.shared,
         values=arguments.value,
         noise=arguments.noise,
-        estimate_noise="process" if arguments.hold_noise == "sensor" else arguments.hold_noise == "none",
+        estimate_noise="process" if held == "sensor" else held == "none",
         seed=arguments.seed,
-        progress=progress,
     )
 
 
@@ -215,15 +229,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if result.converged else 1
 
 
-def _solver(name: str, limit: int | None) -> Any:
+def _solver(name: str, limit: int | None) -> str | Solver:
     """The solver, with another iteration limit where one is given."""
-    from dataclasses import replace
-
-    from greybox.estimation.fit import member
+    from greybox.errors import UnknownNameError
     from greybox.estimation.solvers import SOLVERS
 
-    solver = member("solver", SOLVERS, name)
-    return solver if limit is None else replace(solver, max_iterations=limit)
+    if name not in SOLVERS:
+        raise UnknownNameError("solver", name, SOLVERS)
+    return name if limit is None else SOLVERS[name](max_iterations=limit)
 
 
 def _horizons(text: str) -> tuple[int, ...]:

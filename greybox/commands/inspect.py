@@ -130,8 +130,10 @@ def _sensors(found: Any) -> tuple[str, ...]:
 
 def uses(found: Any) -> dict[str, Any]:
     """Which sensors of the model the log feeds, and what can be fitted: commands or rotor speeds, and a sensor."""
+    from greybox.model.sensors import USUAL
+
     groups = {g.group for g in found.groups}
-    sensors = [s for s in _sensors(found) if s != "rotor_speed"]
+    sensors = [s for s in _sensors(found) if s in {x.name for x in USUAL}]
     driven = "command" in groups
     measured = ("rate", "specific_force", "attitude", "position", "velocity", "rotor_speed")
     return {

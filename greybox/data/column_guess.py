@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import SCHEMA, TIME_UNITS
+from greybox.frames import GRAVITY
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _WORDS = {
@@ -134,7 +135,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
         norm = float(np.median(np.linalg.norm(values, axis=1)))
-        unit = next((u for u, g in (("m/s^2", 9.81), ("g", 1.0), ("mg", 1000.0)) if 0.7 < norm / g < 1.4), "")
+        unit = next((u for u, g in (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0)) if 0.7 < norm / g < 1.4), "")
         why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
     elif group == "command":
         ranges = ((0.0, 1.0), (0.0, 100.0), (0.0, 255.0), (1000.0, 2000.0), (0.0, 2047.0), (0.0, 65535.0))

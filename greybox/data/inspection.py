@@ -18,6 +18,7 @@ from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, re
 from greybox.data.readers.assemble import assemble, choose, describe, stream_of_table, usable
 from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
+from greybox.data.resampling import STRETCH
 from greybox.errors import GreyboxError
 
 SCHEMA = "greybox.inspect/1"
@@ -47,9 +48,6 @@ PURPOSE = {
     "setpoint": "an instrument for closed-loop data (optional)",
 }
 """What a channel group is for."""
-
-GAP = 2.5
-"""A step longer than this many median steps is a gap."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +253,7 @@ def stream_facts(stream: Stream) -> dict[str, Any]:
     steps = np.diff(t)
     middle = float(np.median(steps)) if steps.size else 0.0
     forward = steps[steps > 0]
-    gaps = forward[forward > GAP * middle] if middle > 0 else forward[:0]
+    gaps = forward[forward > STRETCH * middle] if middle > 0 else forward[:0]
     low, high = np.percentile(forward, [1, 99]) if forward.size else (0.0, 0.0)
     return {
         "name": stream.name,

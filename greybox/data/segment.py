@@ -14,6 +14,9 @@ from greybox.errors import DataError, UnknownNameError
 
 FloatArray = npt.NDArray[np.float64]
 
+START_SECONDS = 0.1
+"""First seconds of a segment: the initial state is read off them, and the commands before them, which nobody knows, still
+arrive (no `command_delay` is longer). Nothing is predicted from there, or judged."""
 EARLIER = 0.2
 """Seconds before a cut whose samples are remembered: longer than any delay."""
 CLOCK_TOLERANCE = 1e-3

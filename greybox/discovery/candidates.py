@@ -16,6 +16,7 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.layer import physics_of
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.noise import Augmented
+from greybox.model.sensors import on_clock
 from greybox.model.vehicle import Vehicle
 
 TOGETHER = (("motor_lag", "command_delay"),)
@@ -24,8 +25,8 @@ TIMING = ("motor_lag", "command_delay", "sensor_delay", "pose_delay")
 """Lags and delays: only their sum is seen well, and a filter of the IMU looks like them."""
 IN_OTHER_WORDS = {"command_delay": ("sensor_delay", "pose_delay")}
 """The same thing said otherwise: where all sensors are late by as much, no log tells that from late commands."""
-INERTIAL = {"gyro", "accelerometer"}
-LATE_ALIKE = ((INERTIAL, "sensor_delay"), ({"position", "velocity", "attitude"}, "pose_delay"))
+INERTIAL = frozenset(on_clock("imu"))
+LATE_ALIKE = ((INERTIAL, "sensor_delay"), (frozenset(on_clock("pose")), "pose_delay"))
 """Where nothing but these sensors is logged, their delay is the same thing as one of the commands."""
 LOOK_ALIKES = (TIMING,)
 """Effects that a screening ranks badly against each other: where one of them is a contender all are."""

@@ -12,6 +12,7 @@ import concurrent.futures
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from greybox.errors import FitError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.gain import Riccati, linearisation_at, stationary
 from greybox.estimation.lost_commands import any_lost, lost_commands
+from greybox.estimation.predictor import Predictor
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Block, Problem, Unknown
 from greybox.estimation.record import make_records
@@ -39,16 +41,15 @@ TRACE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Given:
+class Given(Predictor[None]):
     """A predictor whose blocks are there already."""
 
     given: Sequence[Block]
     name: str = "given"
-    has_noise: bool = True
+    has_noise: ClassVar[bool] = True
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> None:
         """Nothing."""
-        return {}
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """What was given."""
@@ -121,8 +122,7 @@ def widened(
             )
         )
     thresholds = frozenset(runner.thresholds | other.thresholds)
-    state = {k: v for k, v in small.state.items() if k != "index"} | {"thresholds": thresholds}
-    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), state=state)
+    wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), thresholds=thresholds)
     return wide, np.concatenate([theta, [u.start for u in added]])
 
 
@@ -167,7 +167,7 @@ class _Runner:
     def _start(self, i: int) -> FloatArray:
         moved = dict(
             zip(self.small.dynamics.error_states.names, self.theta[self.small.initial_columns(i)], strict=True)
-            if self.small.state["estimate_initial"]
+            if self.small.estimate_initial
             else ()
         )
         d = np.array([moved.get(n, 0.0) for n in self.large.error_states.names])

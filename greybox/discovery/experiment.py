@@ -23,12 +23,12 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.discovery.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown, flying_model
-from greybox.discovery.name import CLEAR
 from greybox.errors import GreyboxError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import make_problem
+from greybox.estimation.problem import Problem, make_problem
+from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
 OTHERS = 3
@@ -48,7 +48,7 @@ class Separation:
     @property
     def seconds_to_clear(self) -> float:
         """Time to BIC 10 [s]."""
-        return float("inf") if self.expected <= 0 else self.seconds * 0.5 * CLEAR / self.expected
+        return float("inf") if self.expected <= 0 else self.seconds * CLEAR_LOG_RATIO / self.expected
 
     def to_dict(self) -> dict[str, Any]:
         """As in discovery.json."""
@@ -126,10 +126,11 @@ def divergence(fitted: Fit, log: Dataset, known: Mapping[str, Mapping[str, float
     return max(float(squared - 0.5 * g @ np.linalg.solve(h, g)), 0.0)
 
 
-def _level(problem: Any) -> float:
+def _level(problem: Problem) -> float:
     """What the cost is where every innovation is zero."""
     quiet = 0.0
     for block in problem.predictor.blocks(problem, problem.start, False):
+        assert block.covariance is not None  # the innovation form gives it
         for g in range(len(block.covariance)):
             rows = np.flatnonzero(block.pattern == g)
             count, there = rows.size, block.mask[rows[:1]].any(axis=0)

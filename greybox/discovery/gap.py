@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
+from greybox.data.segment import START_SECONDS
 from greybox.discovery.velocity import unknown_start
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter, Filtered
@@ -120,7 +121,8 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 p = model.parameter_vector(adapt_to_flight(model, flight, adapt, riccati=runner.riccati).values)
         for segment in flight.segments:
             # What was commanded before a segment is not known, nor is its state.
-            late = np.flatnonzero(segment.t >= max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0)) + 0.1)
+            known = max(begin, float(segment.t[0]) + (_start(segment) if blind else 0.0)) + START_SECONDS
+            late = np.flatnonzero(segment.t >= known)
             origins = late[late < segment.n - longest - 1][:: max(1, round(STRIDE / dt))]
             if not origins.size:
                 continue

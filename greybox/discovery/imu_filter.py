@@ -17,13 +17,15 @@ from greybox.discovery.candidates import TIMING
 from greybox.discovery.leftover import ENOUGH, disturbed
 from greybox.discovery.nested import ROOM, ROUGH, Nest, NestedFit, Refit, Task
 from greybox.discovery.screen import Key, Score
-from greybox.discovery.sensor_noise import CLEAR, suspicious, with_parts
+from greybox.discovery.sensor_noise import suspicious, with_parts
 from greybox.discovery.veto import HALF
 from greybox.model.noise import LowPass, sensor_parts
+from greybox.model.sensors import SENSORS, on_clock
+from greybox.statistics.evidence import CLEAR
 
 DELAYS = ("sensor_delay", "pose_delay")
 """Those of `TIMING` that nothing but a filter tells from one on slow signals."""
-IMU = ("p", "q", "r", "ax", "ay", "az")
+IMU = tuple(x.name for s in SENSORS if s.name in on_clock("imu") for x in s.innovation_signals(None))
 """Innovations of gyro and accelerometer."""
 FILTER = 0.004
 """Start value of the filter's time constant [s]."""

@@ -5,21 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 from greybox.data import Dataset
+from greybox.data.segment import START_SECONDS
 
-LEAD, LEADS = 0.1, 4
-"""Seconds at the start of a segment that only tell its commands (the longest delay of a command), in segments that are more
-than so many times as long."""
+LEADS = 4
+"""The start of a segment only tells its commands where the segment is more than so many times as long."""
 
 
 def led(data: Dataset) -> Dataset:
-    """The data without the first `LEAD` seconds of every segment, whose commands are remembered.
+    """The data without the first `START_SECONDS` seconds of every segment, whose commands are remembered.
 
     Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor
     states does not, and would be preferred for that alone. `data_hash` of the result is that of the samples that are left.
     """
     flights = []
     for f in data:
-        lead = round(LEAD / f.dt)
+        lead = round(START_SECONDS / f.dt)
         kept = [s.rows(lead, s.n) if s.n > LEADS * lead else s for s in f.segments]
         flights.append(replace(f, segments=tuple(kept)))
     return Dataset(flights=tuple(flights))

@@ -27,6 +27,7 @@ from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code
 from greybox.residual.discrepancy import GROUPS, discrepancy
+from greybox.statistics.evidence import CLEAR
 
 SHARE = 0.25
 """Share of the smoothed discrepancy that terms must explain on left-out stretches to be called a law."""
@@ -37,7 +38,6 @@ OWN: dict[str, tuple[str, tuple[str, ...]]] = {
     "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")), "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
 }  # fmt: skip
 """Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names of these begin)."""
-CLEAR = 10.0
 TOLERANCE = 1e-2
 """Log likelihood at which the fit of the disturbance states stops: levels that run to zero never quite get there."""
 ENOUGH = 12

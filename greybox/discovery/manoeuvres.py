@@ -103,7 +103,7 @@ def flying_model(model: IdentifiedModel) -> IdentifiedModel:
     physics = physics_of(model.dynamics)
     if "position" in {n.split(".")[0] for n in model.dynamics.states.names} or physics is None:
         return model
-    whole = replace(physics, sensors=(*physics.sensors, *(s for s in SENSORS[:4] if s not in physics.sensors)))
+    whole = replace(physics, sensors=(*physics.sensors, *(s for s in SENSORS if s.shows and s not in physics.sensors)))
     return replace(model, dynamics=whole)
 
 

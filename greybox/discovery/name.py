@@ -18,9 +18,8 @@ from greybox.discovery.candidates import LOOK_ALIKES, TIMING, TOGETHER
 from greybox.discovery.clocks import SHORT, in_other_words, said_shorter
 from greybox.discovery.nested import FINE, ROOM, SHARES, Nest, NestedFit, Refit
 from greybox.discovery.screen import Score
+from greybox.statistics.evidence import CLEAR
 
-CLEAR = 10.0
-"""BIC difference above which one model is said to beat another."""
 PLAIN = 0.1
 """Log likelihood per sample from which on a gain is plain. On held-out flights the errors further ahead are then not asked:
 as long as much else is missing they are those of the rest, and a right addition may raise them. An effect with a threshold

@@ -14,7 +14,6 @@ import concurrent.futures
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,12 +24,12 @@ from greybox.discovery.candidates import TIMING, Candidates
 from greybox.discovery.differences import widened
 from greybox.discovery.screen import Key, Score, screen, unscored
 from greybox.discovery.velocity import has_velocity
-from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.estimation.initialisation import noise_start
-from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, few_samples, make_problem
+from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.model.dynamics import Dynamics
@@ -39,10 +38,9 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import with_physics
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented
+from greybox.statistics.blocks import BLOCK_SECONDS, block_samples
 from greybox.symbolic import CASADI, FloatArray
 
-BLOCK_SECONDS = 0.5
-"""Length of the blocks whose scores the bootstrap multiplies: longer than what innovations are correlated over."""
 BLOCKS = 64
 """Blocks that there should be, in short flights of a shorter length: their scores are a metric of up to six directions,
 which few blocks hardly know."""
@@ -75,17 +73,15 @@ FINE = tuple(k / 10 for k in range(12, 0, -1))
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """One fit in plain values: `model` holds just the effects that are free; `starts` are unknowns to start from, of which
-    the likeliest is taken; a fit without any starts its noise levels from the data. `marginal`: rivals differ in what they
+    the likeliest is taken; a fit without any starts its noise levels from the data. `options` are those of the fit: what is
+    free, values, noise levels. `marginal`: rivals differ in what they
     must guess of the start of a flight (its velocity), and pay for it. `damping`, `tolerance`, `iterations` and `target` are
     those of the solver."""
 
     effects: tuple[str, ...]
     model: PhysicsModel | Augmented
-    free: tuple[str, ...]
-    values: Mapping[str, float]
-    noise: Mapping[str, float] | None
+    options: FitOptions
     starts: tuple[Mapping[Key, float], ...]
-    choices: Mapping[str, Any]
     tolerance: float = TOLERANCE
     iterations: int = 60
     damping: float = LevenbergMarquardt.initial_damping
@@ -180,12 +176,14 @@ class _There:
     status: Status
     name: str = "levenberg-marquardt"
 
-    def solve(self, problem: Problem, start: FloatArray, progress: Any = None) -> tuple[FloatArray, Status]:
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
         """The answer."""
         return _vector(problem, self.theta), self.status
 
 
-def _vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
+def _vector(problem: Objective, known: Mapping[Key, float]) -> FloatArray:
     """Unknowns of the problem at the known values; one flight's own at what all shared, if that is known."""
     return np.array(
         [known.get((u.name, u.flight), known.get((u.name, None), u.start)) for u in problem.unknowns], dtype=np.float64
@@ -224,17 +222,15 @@ def _prepare(task: Task, data: Dataset) -> None:
     """Build the step that the task needs."""
     with CASADI:
         model = _canonical(task.model)
-        free = tuple(d.name for d in model.parameters if d.name in task.free)
+        wanted = task.options.free or ()
+        free = tuple(d.name for d in model.parameters if d.name in wanted)
     engine_for(model, free, quick=few_samples(data))
 
 
 def solve(task: Task, data: Dataset) -> Refit:
     """Carry out one task. Raises `DataError`, `ModelError`."""
     with threadpool_limits(limits=1):
-        problem = make_problem(
-            _canonical(task.model), data, predictor=Innovation(), criterion=Gaussian(), free=task.free,
-            values=task.values, noise=task.noise, **task.choices,
-        )  # fmt: skip
+        problem = make_problem(_canonical(task.model), data, task.options)
         offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
         starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
@@ -269,13 +265,13 @@ def _occam(problem: Problem, theta: FloatArray, value: Value) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nest:
-    """Candidates on the training flights. `choices` are further arguments of every fit: `per_flight`, `estimate_noise`.
+    """Candidates on the training flights. `options` are those of every fit, less what a task says: of them `per_flight`,
+    `estimate_noise` and `noise`, the levels that the first fit starts from, are looked at.
     `executor` runs the fits of one step side by side."""
 
     candidates: Candidates
     data: Dataset
-    noise: Mapping[str, float] | None = None
-    choices: Mapping[str, Any] = field(default_factory=dict)
+    options: FitOptions = field(default_factory=FitOptions)
     executor: concurrent.futures.Executor | None = None
     recent: list[Refit] = field(default_factory=list)
     """The last tasks that were carried out: a step that is decided again (a name was withheld) fits nothing twice."""
@@ -303,11 +299,13 @@ class Nest:
             if also is not None:
                 other = _unknowns(also, free)
                 starts += [starts[0] | {k: v for k, v in other.items() if k[0] not in declared}, starts[0] | other]
-        choices = {**self.choices, "per_flight": tuple(n for n in self.choices.get("per_flight", ()) if n in declared)}
-        return Task(
-            effects=chosen, model=model, free=free, values=values, choices=choices, starts=tuple(starts),
-            noise=self.noise if start is None else _levels(start.fit.model, model), marginal=bool(self.candidates.moving),
+        options = self.options.but(
+            free=free, values=values, per_flight=[n for n in self.options.per_flight if n in declared],
+            noise=self.options.noise if start is None else _levels(start.fit.model, model), initialisation="nominal",
         )  # fmt: skip
+        return Task(
+            effects=chosen, model=model, options=options, starts=tuple(starts), marginal=bool(self.candidates.moving)
+        )
 
     def contest(self, tasks: Sequence[Task], held: float = np.inf) -> list[Refit]:
         """Carry out tasks that are held against each other, and against a fit of BIC `held`: exactly where BIC comes within
@@ -361,10 +359,7 @@ class Nest:
     def settle(self, refit: Refit) -> NestedFit:
         """The whole result of a fit that was carried out as a task."""
         t = refit.task
-        result = fit(
-            t.model, self.data, free=t.free, values=t.values, noise=t.noise, initialisation="nominal",
-            solver=_There(theta=refit.theta, status=refit.status), **t.choices,
-        )  # fmt: skip
+        result = fit(t.model, self.data, t.options, solver=_There(theta=refit.theta, status=refit.status))
         return NestedFit(effects=t.effects, fit=result, occam=refit.occam)
 
     def refit(
@@ -386,10 +381,10 @@ class Nest:
             whole = self.candidates.only(there)
             problem, theta = widened(
                 at.fit.problem, at.fit.theta, self.candidates.only(there - late) if late else whole, self.data, null,
-                per_flight=self.choices.get("per_flight", ()), apart=whole if late else None,
+                per_flight=self.options.per_flight, apart=whole if late else None,
             )  # fmt: skip
             seconds = sum(r.n for r in problem.records) * problem.dt
-            block = max(1, round(min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)) / problem.dt))
+            block = block_samples(problem.dt, min(BLOCK_SECONDS, max(seconds / BLOCKS, SHORTEST)))
             value = problem.evaluate(theta, scores=block)
             tested = screen(
                 problem, value, names, alpha=alpha, draws=draws, seed=seed, samples=block,

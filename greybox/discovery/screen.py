@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 
-from greybox.chi_square import log_tail
 from greybox.discovery.burst import FEW, effective_blocks, information, overdispersion
 from greybox.estimation.problem import Block, Problem, Value
+from greybox.statistics.chi_square import log_tail
 from greybox.symbolic import FloatArray
 
 Key = tuple[str, str | None]
@@ -88,7 +87,6 @@ def screen(
     assert value.scores is not None
     names = [u.name for u in problem.unknowns]
     owner = {p: g for g, ps in groups.items() for p in ps}
-    thresholds: Any = problem.state.get("thresholds", ())
     nuisance = np.array([i for i, n in enumerate(names) if n not in owner], dtype=int)
     scale = np.sqrt(np.maximum(np.diag(value.hessian), 1e-300))
     h = value.hessian / np.outer(scale, scale)
@@ -137,7 +135,7 @@ def screen(
                 std={_label(problem, i): float(s / scale[i]) for i, s in zip(alive, spread, strict=True)},
                 left=float(shares[keep].min()),
                 judged=True,
-                threshold=any(m in thresholds for m in members),
+                threshold=any(m in problem.thresholds for m in members),
                 allowed=any(_allowed(problem, i, e) for i, e in zip(alive, estimate, strict=True)),
             )
         )

@@ -33,13 +33,13 @@ from greybox.model.noise import (
     with_white_sensors,
 )
 from greybox.model.noise import with_parts as augmented
+from greybox.model.sensors import SENSORS, on_clock
+from greybox.statistics.evidence import CLEAR
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
-CLEAR = 10.0
-"""BIC difference above which a kind of noise stays."""
-START = {"gyro": 0.05, "accelerometer": 0.05, "position": 0.2, "velocity": 0.2, "attitude": 0.2}
+START = {s.name: s.colour_time for s in SENSORS if s.colour_time is not None}
 """Sensors whose noise may be coloured: start values of correlation times [s]."""
-WITNESS = {"accelerometer": {"velocity", "position"}, "gyro": {"attitude"}}
+WITNESS = {s.name: s.witnesses for s in SENSORS if s.witnesses}
 """Sensors whose colour cannot be told from force or torque unless one of these sees the motion too."""
 PREDICTABLE = 0.005
 """Share of an innovation's variance that its own past must explain for its sensor to be suspected."""
@@ -187,8 +187,8 @@ def sensor_table(fitted: Fit, gains: Mapping[str, float]) -> list[dict[str, Any]
                 level = noise.get(f"noise.process.{part.name}.c.{c.split('.')[-1]}", 0.0)
                 out.append(_entry(c, part.kind, part.described(level, values, dt), gains.get(part.name)))
     for effect, late in (
-        ("pose_delay", ("position", "velocity", "attitude")),
-        ("sensor_delay", ("gyro", "accelerometer")),
+        ("pose_delay", on_clock("pose")),
+        ("sensor_delay", on_clock("imu")),
     ):
         if effect not in {e.name for e in physics.effects}:
             continue

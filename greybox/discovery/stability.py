@@ -57,8 +57,8 @@ def stability(nest: Nest, at: NestedFit, additions: Sequence[Addition]) -> list[
     ]  # fmt: skip
     if not names or len(nest.data.flights) < 2:
         return []
-    choices = {**nest.choices, "per_flight": (*nest.choices.get("per_flight", ()), *names)}
-    each = replace(nest, choices=choices, recent=[]).refit(at.effects, start=at)
+    options = nest.options.but(per_flight=(*nest.options.per_flight, *names))
+    each = replace(nest, options=options, recent=[]).refit(at.effects, start=at)
     if not each.fit.converged:
         return []
     out = []

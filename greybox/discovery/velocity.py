@@ -17,7 +17,10 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
+from greybox.model.sensors import SENSORS
 
+SHOWN = {b: frozenset(s.name for s in SENSORS if s.shows == b) for b in ("position", "velocity", "rate")}
+"""Sensors that measure a state block as it is."""
 HELD = 1e-2
 """Standard deviations by which 1 m/s must move some innovation, of this sample or the next."""
 
@@ -29,12 +32,12 @@ def moving(bare: PhysicsModel, offered: Iterable[Effect]) -> tuple[str, ...]:
 
 def unmeasured(model: IdentifiedModel) -> bool:
     """Whether neither position nor velocity is measured."""
-    return bool(model.sensors) and not {"position", "velocity"} & model.sensors
+    return bool(model.sensors) and not (SHOWN["position"] | SHOWN["velocity"]) & model.sensors
 
 
 def unknown_start(model: IdentifiedModel) -> bool:
     """Whether readings do not tell with which velocity or rates a flight begins: no position and no velocity, or no gyro."""
-    return unmeasured(model) or (bool(model.sensors) and "gyro" not in model.sensors)
+    return unmeasured(model) or (bool(model.sensors) and not SHOWN["rate"] & model.sensors)
 
 
 def drifts(model: IdentifiedModel) -> bool:

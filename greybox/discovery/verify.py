@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 from greybox.data import Dataset
 from greybox.discovery.gap import GapRow, Squares, gap, squares
 from greybox.discovery.leftover import Promoted, promote
-from greybox.discovery.name import CLEAR, Addition, prune
+from greybox.discovery.name import Addition, prune
 from greybox.discovery.nested import Nest, NestedFit
 from greybox.discovery.veto import HALF, HeldOut, Withheld, likeness, misfit, misread, undone, white_levels, wrench_of
 from greybox.discovery.written import Looked, looked_again
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.identified import IdentifiedModel
+from greybox.statistics.evidence import CLEAR
 
 MOST = 0.5
 """Share of what was missing above which a name is not believed on logs of gyro and accelerometer alone: drag, which nothing

@@ -30,7 +30,7 @@ from greybox.data import Dataset
 from greybox.discovery.candidates import TOGETHER
 from greybox.discovery.gap import Foresight, foresee
 from greybox.discovery.leftover import Leftover
-from greybox.discovery.name import CLEAR, PLAIN
+from greybox.discovery.name import PLAIN
 from greybox.discovery.nested import NestedFit
 from greybox.discovery.velocity import has_velocity
 from greybox.errors import GreyboxError
@@ -40,6 +40,8 @@ from greybox.estimation.fit import Fit
 from greybox.frames import numeric
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.sensors import SENSORS
+from greybox.statistics.evidence import CLEAR
 from greybox.symbolic import FloatArray
 
 SEEN = 2.0
@@ -69,7 +71,7 @@ gained `PLAIN` has proven itself. Any constant does so where a law is missing, a
 SURE = 5.0
 OPPOSED = 0.7
 """Correlation below minus which a law works against a name."""
-SENSED = {"accelerometer": ("force",), "gyro": ("torque",)}
+SENSED = {s.name: s.mistaken_for for s in SENSORS if s.mistaken_for}
 """What is mistaken for an error of that sensor, and the other way round; of all others (a late pose) it is either."""
 AXES = tuple(f"{kind}.{a}" for kind in ("force", "torque") for a in "xyz")
 STEP = 1e-3

@@ -11,7 +11,7 @@ import concurrent.futures
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import scipy.stats
@@ -28,6 +28,7 @@ from greybox.discovery.lead import led
 from greybox.discovery.leftover import ENOUGH, Promoted, promote
 from greybox.discovery.name import Addition
 from greybox.discovery.nested import Nest, NestedFit
+from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.result import Discovery
 from greybox.discovery.screen import Score
 from greybox.discovery.search import Found, Progress, Search
@@ -39,9 +40,9 @@ from greybox.discovery.veto import HeldOut, unseen
 from greybox.discovery.written import lawful_model
 from greybox.errors import DataError, GreyboxError, UnknownNameError
 from greybox.estimation.fit import Fit
+from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.estimation.status import Code
-from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.vehicle import Vehicle
 
@@ -50,28 +51,24 @@ SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands, what is left is averaged over half a second."""
 
 
+@says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 def discover(
     vehicle: Vehicle,
     train: Dataset,
     test: Dataset | None = None,
+    options: DiscoverOptions | None = None,
     *,
-    own: Iterable[Effect] = (),
-    alpha: float = 0.05,
-    max_effects: int = 8,
-    adapt: float | None = None,
-    kinematic_noise: bool = False,
-    per_flight: Iterable[str] = (),
-    fixed: Iterable[str] = (),
-    hold_sensor_noise: bool = False,
-    attainable: bool = False,
-    seed: int = 0,
     faults: CheckReport | None = None,
     progress: Progress | None = None,
     save: Callable[[Discovery], None] | None = None,
     executor: concurrent.futures.Executor | None = None,
+    **choices: Unpack[DiscoverChoices],
 ) -> Discovery:
     """Find, name and add what the model of `vehicle` misses on the flights of `train`; judge on `test`.
+
+    The choices are keywords, fields of `DiscoverOptions` with its defaults, or `options` as a whole: own, alpha,
+    max_effects, adapt, kinematic_noise, per_flight, fixed, hold_sensor_noise, attainable, seed.
 
     alpha: family-wise level of a name. `own`: effects besides the catalogue. `adapt` [s]: per-flight parameters of test
     flights are fitted on their first seconds. `per_flight` parameters get one value per flight, `fixed` ones stay at that
@@ -79,9 +76,12 @@ def discover(
     model misses with a Gaussian process (extra `gp`), the line that names are held against. `faults`: what `check_logs`
     said about the files (by default the data sets are checked, which no longer show faults of their clock). `save` gets
     what is known after every step, so that an interruption loses nothing. `executor` fits the rivals of a step side by
-    side, in processes or on a cluster, with the same result. Raises `DataError`, `ModelError`, `FitError`.
+    side, in processes or on a cluster, with the same result. Raises `DataError`, `ModelError`, `FitError`,
+    `UnknownNameError` (of a choice, too).
     """
     began = time.perf_counter()
+    options = DiscoverOptions.of(options, choices)
+    alpha, seed, adapt, max_effects = options.alpha, options.seed, options.adapt, options.max_effects
     say = progress or (lambda _text, _share: None)
     settings: dict[str, Any] = {"alpha": alpha, "seed": seed, "max_effects": max_effects, "adapt": adapt}
     tested = test if test is not None and test.flights else None
@@ -91,19 +91,20 @@ def discover(
         return refused(faults, vehicle, settings=settings, seconds=time.perf_counter() - began)
     _long_enough(train)
     offered = candidates(
-        vehicle, train.channels, own=own, sample_time=sample_time(train), noncausal=train.noncausal,
-        kinematic_noise=kinematic_noise,
+        vehicle, train.channels, own=options.own, sample_time=sample_time(train), noncausal=train.noncausal,
+        kinematic_noise=options.kinematic_noise,
     )  # fmt: skip
     settings["sample_time"] = offered.physics.sample_time
-    per_flight, fixed = tuple(per_flight), set(fixed)
-    if wrong := {*per_flight, *fixed} - {d.name for d in offered.model.parameters}:
+    fixed = set(options.fixed)
+    if wrong := {*options.per_flight, *fixed} - {d.name for d in offered.model.parameters}:
         raise UnknownNameError("parameter", min(wrong), [d.name for d in offered.model.parameters])
     offered = replace(offered, core=tuple(n for n in offered.core if n not in fixed))
-    choices = {"per_flight": per_flight, "estimate_noise": "process" if hold_sensor_noise else True}
-    settings |= {"per_flight": per_flight, "fixed": sorted(fixed), "hold_sensor_noise": hold_sensor_noise}
+    settings |= {
+        "per_flight": options.per_flight, "fixed": sorted(fixed), "hold_sensor_noise": options.hold_sensor_noise
+    }  # fmt: skip
     train = led(train)
     judged = train if tested is None else tested
-    nest = Nest(candidates=offered, data=train, choices=choices, executor=executor)
+    nest = Nest(candidates=offered, data=train, options=options.of_every_fit, executor=executor)
 
     judge = HeldOut(judged, adapt)
     held_out = judge if judged is not train else None
@@ -184,7 +185,7 @@ def discover(
     if judged is train:
         warnings.append("the gap is judged on the training flights: give --test flights")
     rows = gap_rows(
-        null, plain, lawful, train, judge, attainable=attainable, seed=seed,
+        null, plain, lawful, train, judge, attainable=options.attainable, seed=seed,
         say=lambda text: say(text, 0.95), notes=warnings,
     )  # fmt: skip
     if judged is not train and (grown := outgrown(rows)):

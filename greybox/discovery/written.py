@@ -12,12 +12,12 @@ from typing import Any
 
 from greybox.data import Dataset
 from greybox.discovery.leftover import STRONG, TERMS, Leftover, Promoted, promote
-from greybox.discovery.name import CLEAR
 from greybox.discovery.proposal import effect_name, proposed
 from greybox.discovery.sensor_noise import plain_model
 from greybox.discovery.terms import Memory
 from greybox.estimation.fit import Fit, fit, noise_of
 from greybox.model.identified import IdentifiedModel
+from greybox.statistics.evidence import CLEAR
 
 LOOKS = 2
 """How often the leftover of written laws is looked at again, at most."""

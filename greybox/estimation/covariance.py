@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -86,26 +85,3 @@ def correlation(c: FloatArray) -> FloatArray:
     out[inside] = c[inside] / np.outer(size[usable], size[usable])
     np.fill_diagonal(out, 1.0)
     return out
-
-
-def is_coloured(innovations: list[FloatArray], lags: int = 20, level: float = 0.01) -> bool:
-    """Whether some channel fails the Ljung-Box test (Biometrika 65(2), 1978) at `level`, Bonferroni over channels.
-
-    `innovations`: records (n, n_e), NaN = missing (left out of every product). Short records and channels are passed over.
-    """
-    usable = [e for e in innovations if e.shape[0] > 3 * lags]
-    if not usable:
-        return False
-    worst, tested = 1.0, 0
-    for j in range(usable[0].shape[1]):
-        columns = [e[:, j] - np.nanmean(e[:, j]) for e in usable if np.isfinite(e[:, j]).any()]
-        filled = [np.where(np.isfinite(c), c, 0.0) for c in columns]
-        count = sum(int(np.isfinite(c).sum()) for c in columns)
-        power = sum(float(c @ c) for c in filled)
-        if count < 5 * lags or power <= 0:
-            continue
-        r = np.array([sum(float(c[k:] @ c[:-k]) for c in filled) / power for k in range(1, lags + 1)])
-        statistic = count * (count + 2) * float((r * r / (count - np.arange(1, lags + 1))).sum())
-        worst = min(worst, float(scipy.stats.chi2.sf(statistic, lags)))
-        tested += 1
-    return tested > 0 and worst < level / tested

@@ -13,7 +13,7 @@ import ctypes
 import functools
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import casadi as ca
 import numpy as np
@@ -56,6 +56,53 @@ class GainTable:
     gain: FloatArray
     zero: IntArray
     derivative: FloatArray | None = None
+
+
+class Samples(TypedDict):
+    """The samples of one record, as keywords of `Engine.run`: `inputs` padded by `padded_inputs`, outputs (n, n_y; NaN where
+    missing), mask (n, n_e), pattern (n,) into the gain table, dt [s]."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    mask: FloatArray
+    pattern: IntArray
+    dt: float
+
+
+class WindowSamples(TypedDict):
+    """The same as keywords of `Engine.windows`, which has no gain and therefore no pattern."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    mask: FloatArray
+    dt: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pass:
+    """One pass as the recursion takes it: contiguous arrays, of which x (n_x,), s (n_d, n_s) and those in `out` are written.
+    Arrays that are not kept are None."""
+
+    x: FloatArray
+    s: FloatArray | None
+    u: FloatArray
+    y: FloatArray
+    mask: FloatArray
+    pattern: IntArray
+    gains: GainTable
+    p: FloatArray
+    dt: float
+    out: dict[str, FloatArray | None]
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.y.shape[0]
+
+    @property
+    def ns(self) -> int:
+        """Number of columns of the sensitivities, 0 without them."""
+        return 0 if self.s is None else self.s.shape[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,36 +283,36 @@ class Engine:
         self,
         *,
         x0: FloatArray,
-        inputs: FloatArray,
-        outputs: FloatArray,
-        mask: FloatArray,
-        pattern: IntArray,
         gains: GainTable,
         p: FloatArray,
-        dt: float,
         s0: FloatArray | None = None,
         want: frozenset[str] = frozenset({"innovations"}),
+        **samples: Unpack[Samples],
     ) -> Run:
-        """Filter n samples: `inputs` padded by `padded_inputs`, outputs (n, n_y), mask (n, n_e), pattern (n,).
+        """Filter n samples from x0 (n_x,) with the parameters p (n_p); inputs, outputs, mask, pattern, dt: see `Samples`.
 
         `want` names the arrays of `Run` to keep. With `s0` (n_d, n_s) the sensitivities run along: the first columns
         belong to the active parameters, the others only to what s0 and the gain's derivative put there.
         """
+        outputs = samples["outputs"]
         n = outputs.shape[0]
         ns = 0 if s0 is None else s0.shape[1]
-        x = np.array(x0, dtype=np.float64)
-        s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
-        y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
         shapes = {
             "states": (n, self.nx), "innovations": (n, self.ne), "outputs": (n, self.ny),
             "sensitivity": (n, self.ne, ns), "state_sensitivity": (n, self.nd, ns),
         }  # fmt: skip
         out = {k: (np.zeros(v) if k in want and (ns or "sens" not in k) else None) for k, v in shapes.items()}
-        mask = np.ascontiguousarray(mask, dtype=np.float64)
-        pattern = np.ascontiguousarray(pattern, dtype=np.int32)
-        call = self._run_c if self.compiled else self._run_vm
-        bad = call(n, ns, x, s, np.ascontiguousarray(inputs), y, mask, pattern, gains, np.ascontiguousarray(p), dt, out)
-        return Run(**out, end=x, end_sensitivity=s, failed_at=None if bad == 0 else bad - 1)
+        one = _Pass(
+            x=np.array(x0, dtype=np.float64),
+            s=None if s0 is None else np.array(s0, dtype=np.float64, order="C"),
+            u=np.ascontiguousarray(samples["inputs"]),
+            y=np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0)),
+            mask=np.ascontiguousarray(samples["mask"], dtype=np.float64),
+            pattern=np.ascontiguousarray(samples["pattern"], dtype=np.int32),
+            gains=gains, p=np.ascontiguousarray(p), dt=samples["dt"], out=out,
+        )  # fmt: skip
+        bad = self._run_c(one) if self.compiled else self._run_vm(one)
+        return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
 
     def _scratch(self, ns: int) -> tuple[Any, Any, Any, Any, Any]:
         a, r, i, w = self._work
@@ -275,48 +322,44 @@ class Engine:
             np.zeros(length),
         )  # fmt: skip
 
-    def _run_c(
-        self, n: int, ns: int, x: Any, s: Any, u: Any, y: Any, mask: Any, pattern: Any, gains: GainTable, p: Any,
-        dt: float, out: dict[str, Any],
-    ) -> int:  # fmt: skip
+    def _run_c(self, one: _Pass) -> int:
+        ns, gains, out = one.ns, one.gains, one.out
         arg, res, iw, w, buffer = self._scratch(ns)
         gain = np.ascontiguousarray(gains.gain)
         zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
         slope = None if gains.derivative is None or not ns else np.ascontiguousarray(gains.derivative)
         return int(
             self._library.gb_run(
-                n, self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x), _ptr(s), _ptr(u), _ptr(y), _ptr(mask),
-                _ptr(pattern), _ptr(p), ctypes.c_double(dt), _ptr(gain), _ptr(zero), _ptr(slope), _ptr(out["states"]),
-                _ptr(out["innovations"]), _ptr(out["outputs"]), _ptr(out["sensitivity"]),
-                _ptr(out["state_sensitivity"]), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
+                one.n, self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(one.x), _ptr(one.s), _ptr(one.u),
+                _ptr(one.y), _ptr(one.mask), _ptr(one.pattern), _ptr(one.p), ctypes.c_double(one.dt), _ptr(gain),
+                _ptr(zero), _ptr(slope), _ptr(out["states"]), _ptr(out["innovations"]), _ptr(out["outputs"]),
+                _ptr(out["sensitivity"]), _ptr(out["state_sensitivity"]), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
             )
         )  # fmt: skip
 
-    def _run_vm(
-        self, n: int, ns: int, x: Any, s: Any, u: Any, y: Any, mask: Any, pattern: Any, gains: GainTable, p: Any,
-        dt: float, out: dict[str, Any],
-    ) -> int:  # fmt: skip
+    def _run_vm(self, one: _Pass) -> int:
+        x, s, u, mask, gains = one.x, one.s, one.u, one.mask, one.gains
         width = self.past + 1 + self.future
         na = len(self.active)
-        for t in range(n):
-            at = (x, u[t : t + width].T, y[t], p, dt)
+        for t in range(one.n):
+            at = (x, u[t : t + width].T, one.y[t], one.p, one.dt)
             xf, e, yh = self.value(*at)
             e = np.asarray(e.full()).ravel() * (mask[t] != 0)
             for key, value in (("states", x), ("innovations", e), ("outputs", np.asarray(yh.full()).ravel())):
-                if out[key] is not None:
-                    out[key][t] = value
+                if (kept := one.out[key]) is not None:
+                    kept[t] = value
             if s is not None:
-                if out["state_sensitivity"] is not None:
-                    out["state_sensitivity"][t] = s
+                if (kept := one.out["state_sensitivity"]) is not None:
+                    kept[t] = s
                 a, b, ex, ep = self.slope(*at)
                 de = ex.full() @ s
                 de[:, :na] += ep.full()[:, self.columns]
                 de *= (mask[t] != 0)[:, None]
-                if out["sensitivity"] is not None:
-                    out["sensitivity"][t] = de
+                if (kept := one.out["sensitivity"]) is not None:
+                    kept[t] = de
                 moved = a.full() @ s
                 moved[:, :na] += b.full()[:, self.columns]
-            g = int(pattern[t])
+            g = int(one.pattern[t])
             if gains.zero[g]:
                 x[:] = np.asarray(xf.full()).ravel()
                 if s is not None:
@@ -340,24 +383,23 @@ class Engine:
         rows: npt.NDArray[Any],
         lengths: npt.NDArray[Any],
         tails: npt.NDArray[Any],
-        inputs: FloatArray,
-        outputs: FloatArray,
-        mask: FloatArray,
         p: FloatArray,
-        dt: float,
         s0: FloatArray | None = None,
+        **samples: Unpack[WindowSamples],
     ) -> Windows:
         """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the record's `rows` (m,).
+        inputs, outputs, mask, dt: see `WindowSamples`.
 
         The innovations of the last `tails` (m,) samples of each window are kept, in order. With `s0` (m, n_d, n_s) the
         sensitivities run along as in `run`.
         """
+        outputs, dt = samples["outputs"], samples["dt"]
         m, kept, longest = len(rows), int(np.sum(tails)), int(np.max(lengths))
         ns = 0 if s0 is None else s0.shape[2]
         x = np.array(starts, dtype=np.float64)
         s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
         y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
-        mask, u = np.ascontiguousarray(mask, dtype=np.float64), np.ascontiguousarray(inputs)
+        mask, u = np.ascontiguousarray(samples["mask"], dtype=np.float64), np.ascontiguousarray(samples["inputs"])
         p = np.ascontiguousarray(p, dtype=np.float64)
         e = np.zeros((kept, self.ne))
         de = None if s is None else np.zeros((kept, self.ne, ns))

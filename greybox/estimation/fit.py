@@ -1,15 +1,14 @@
 """fit: estimate a model's parameters from flights by the prediction error method, and say how sure the numbers are.
 
 fit is a function from values to a value: model, data and choices in, a frozen `Fit` out; nothing is changed in place.
-The file is long because the result type and the steps that fill it field by field are one idea and read side by side.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Unpack
 
 import casadi as ca
 import numpy as np
@@ -17,188 +16,41 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
-from greybox.estimation.covariance import Covariance, correlation, covariance, is_coloured, scaled_inverse
-from greybox.estimation.criteria import CRITERIA
-from greybox.estimation.identifiability import Combination, marginal_information, unidentified
-from greybox.estimation.predictors import PREDICTORS
+from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
+from greybox.estimation.identifiability import marginal_information, unidentified
+from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
-from greybox.estimation.solvers import SOLVERS
+from greybox.estimation.result import Diagnostics, Estimate, Estimates, Fit, Provenance
+from greybox.estimation.solver import Progress, Solver
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
-from greybox.files import write_json
+from greybox.estimation.unknown import Unknown
 from greybox.model.dynamics import Dynamics
-from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
+from greybox.statistics.blocks import block_samples
+from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import BoolArray, FloatArray
 
-SCHEMA = "greybox.fit/1"
-Progress = Callable[[int, float, float], None]
+__all__ = ["Estimate", "Fit", "FitOptions", "fit", "member", "noise_of"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
-    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there).
-
-    `prior_influence` is the share of the precision that the priors (of all parameters together) brought: 0 = the data
-    alone, 1 = the data say nothing. Of a per-flight parameter, `value` is the mean over flights and `std` the standard
-    error of that mean (at least what the spread between flights says).
-    """
-
-    name: str
-    value: float
-    std: float
-    std_fisher: float
-    unit: str
-    scope: str
-    prior: tuple[float, float] | None
-    prior_influence: float
-    at_bound: bool
-    per_flight: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in fit.json."""
-        return {
-            "value": self.value, "std": self.std, "std_fisher": self.std_fisher, "unit": self.unit, "scope": self.scope,
-            "prior": None if self.prior is None else {"value": self.prior[0], "sigma": self.prior[1]},
-            "prior_influence": self.prior_influence, "at_bound": self.at_bound,
-            "per_flight": {k: {"value": v, "std": s} for k, (v, s) in self.per_flight.items()},
-        }  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
-    """What a fit found. Holds no raw data; `innovations` (flight -> list of (n, n_e)) are NaN where missing.
-
-    `cost` is the negative log posterior, `loglik` the log likelihood without priors. `coloured` says whether the
-    innovations fail the whiteness test, in which case `std` of the estimates is the sandwich one.
-    """
-
-    model: IdentifiedModel
-    parameters: Mapping[str, Estimate]
-    derived: Mapping[str, tuple[float, float]]
-    noise: Mapping[str, tuple[float, float, str]]
-    status: Status
-    cost: float
-    loglik: float
-    n_samples: int
-    n_parameters: int
-    correlation_names: tuple[str, ...]
-    correlations: FloatArray
-    unidentifiable: tuple[Combination, ...]
-    innovations: Mapping[str, list[FloatArray]]
-    coloured: bool
-    flights: tuple[Mapping[str, Any], ...]
-    settings: Mapping[str, Any]
-    warnings: tuple[str, ...]
-    data_hash: str
-    problem: Problem
-    theta: FloatArray
-    covariance: Covariance
-
-    @property
-    def converged(self) -> bool:
-        """Whether the optimum was reached."""
-        return self.status.converged
-
-    def __getitem__(self, name: str) -> Estimate:
-        try:
-            return self.parameters[name]
-        except KeyError:
-            raise UnknownNameError("estimated parameter", name, self.parameters) from None
-
-    @property
-    def aic(self) -> float:
-        """Akaike's information criterion, -2 log L + 2 k (Akaike 1974)."""
-        return -2 * self.loglik + 2 * self.n_parameters
-
-    @property
-    def bic(self) -> float:
-        """Schwarz' information criterion, -2 log L + k ln N, N the number of samples (Schwarz 1978)."""
-        return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """The content of fit.json (schema "greybox.fit/1")."""
-        d = self.model.dynamics
-        physics = physics_of(d)
-        return {
-            "schema": SCHEMA,
-            "model": {
-                "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
-                "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
-                "omega_known": physics is None or physics.omega_known,
-            },
-            "settings": dict(self.settings),
-            "status": self.status.to_dict(),
-            "cost": {
-                "negative_log_posterior": self.cost, "loglik": self.loglik, "n_samples": self.n_samples,
-                "n_parameters": self.n_parameters, "aic": self.aic, "bic": self.bic,
-            },
-            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
-            "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
-            "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
-            "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
-            "correlations": {"names": list(self.correlation_names), "matrix": self.correlations.tolist()},
-            "unidentifiable": [c.text for c in self.unidentifiable],
-            "flights": [dict(f) for f in self.flights],
-            "warnings": list(self.warnings),
-            "data_hash": self.data_hash,
-            "versions": library_versions(),
-        }  # fmt: skip
-
-    def save(self, folder: str) -> None:
-        """Write fit.json and model.json into a folder, each atomically."""
-        write_json(f"{folder}/fit.json", self.to_dict())
-        self.model.save(f"{folder}/model.json")
-
-    def summary(self) -> str:
-        """The estimates as text, status first."""
-        lines = [self.status.advice]
-        width = max((len(n) for n in self.parameters), default=4)
-        for n, e in self.parameters.items():
-            error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
-            extra = f"  (prior decides {100 * e.prior_influence:.0f} %)" if e.prior_influence > 0.2 else ""
-            scope = "  per flight" if e.scope == "flight" else ""
-            lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
-        lines += [f"not identified: {c.text}" for c in self.unidentifiable]
-        lines += [f"warning: {w}" for w in self.warnings]
-        return "\n".join(lines)
-
-
-def member(kind: str, catalogue: Mapping[str, Any], choice: Any) -> Any:
-    """A member by name, or the object itself. Raises `UnknownNameError` with the nearest names."""
-    if not isinstance(choice, str):
-        return choice
-    if choice not in catalogue:
-        raise UnknownNameError(kind, choice, catalogue)
-    return catalogue[choice]()
-
-
+@says_choices(FitOptions)
 def fit(
     model: Dynamics,
     data: Dataset,
+    options: FitOptions | None = None,
     *,
-    predictor: Any = "innovation",
-    criterion: Any = "gaussian",
-    solver: Any = "levenberg-marquardt",
-    initialisation: str = "equation-error",
-    disturbance: Iterable[str] = (),
-    free: Iterable[str] | None = None,
-    fixed: Iterable[str] = (),
-    per_flight: Iterable[str] = (),
-    shared: Iterable[str] = (),
-    values: Mapping[str, float] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    noise: Mapping[str, float] | None = None,
-    estimate_noise: bool | Literal["process"] = True,
-    seed: int = 0,
-    starts: int = 8,
     progress: Progress | None = None,
-    build: Iterable[str] | None = None,
-    use_compiler: bool = True,
+    **choices: Unpack[FitChoices],
 ) -> Fit:
     """Fit `model` to `data` by the prediction error method.
+
+    The choices are keywords, fields of `FitOptions` with its defaults, or `options` as a whole; keywords go before it:
+    predictor, criterion, solver, initialisation, disturbance, free, fixed, per_flight, shared, values, priors,
+    flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build, use_compiler.
 
     predictor x criterion x solver x initialisation are names or objects (see greybox.estimation). `disturbance` names
     the process-noise groups ("force", "torque") that also get a slowly varying disturbance state. Which parameters are
@@ -208,55 +60,52 @@ def fit(
     innovation form first, whose estimates and noise levels the predictor proper starts from: what a predictor without
     noise levels of its own wants). `progress(iteration, cost, decrement)` is
     called every iteration. The result says whether the fit converged; a fit that did not never looks like one that did.
-    Raises `DataError`, `ModelError`, `UnknownNameError`, and `Interrupted`, a KeyboardInterrupt whose `kept` is the `Fit`
-    with the best values so far.
+    Raises `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a KeyboardInterrupt whose
+    `kept` is the `Fit` with the best values so far.
     """
     began = time.perf_counter()
-    groups = tuple(disturbance)
+    options = FitOptions.of(options, choices)
+    groups = options.disturbance
     dynamics = with_disturbance(model, groups)
-    chosen_predictor = member("predictor", PREDICTORS, predictor)
-    chosen_criterion = member("criterion", CRITERIA, criterion)
-    chosen_solver = member("solver", SOLVERS, solver)
+    predictor, solver = options.chosen_predictor(), options.chosen_solver()
     first: Fit | None = None
-    if initialisation == "innovation":
+    if options.initialisation == "innovation":
         first = fit(
-            model, data, criterion=criterion, solver=solver, disturbance=groups, free=free, fixed=fixed,
-            per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
-            estimate_noise=estimate_noise, progress=progress, build=build, use_compiler=use_compiler,
-        )  # fmt: skip
-        noise = noise_of(first.model)
+            model, data, options.but(predictor="innovation", initialisation="equation-error"), progress=progress
+        )
+        options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
-        problem = make_problem(
-            dynamics, data, predictor=chosen_predictor, criterion=chosen_criterion, free=free, fixed=fixed,
-            per_flight=per_flight, shared=shared, values=values, priors=priors, noise=noise,
-            estimate_noise=estimate_noise, build=build, use_compiler=use_compiler,
-        )  # fmt: skip
+        problem = make_problem(dynamics, data, options)
         if first is not None:
             found = {(u.name, u.flight): t for u, t in zip(first.problem.unknowns, first.theta, strict=True)}
             start = np.array([found.get((u.name, u.flight), u.start) for u in problem.unknowns])
         else:
-            start = _initialise(problem, initialisation, chosen_solver, seed, starts)
-        if hasattr(chosen_predictor, "approach"):  # multiple shooting closes its gaps first
-            start = chosen_predictor.approach(problem, start, progress)
+            start = _initialise(problem, options, solver)
+        start = predictor.approach(problem, start, progress)  # multiple shooting closes its gaps first
         try:
-            theta, status = chosen_solver.solve(problem, start, progress)
+            theta, status = solver.solve(problem, start, progress)
         except Interrupted as stop:
             theta, status = stop.kept
-        result = _finish(problem, data, theta, status, began)
-    settings = {
-        "predictor": chosen_predictor.name, "criterion": chosen_criterion.name, "solver": chosen_solver.name,
-        "initialisation": initialisation, "disturbance": list(groups), "estimate_noise": estimate_noise, "seed": seed,
+        result = _finish(problem, data, theta, status, began, _settings(problem, options))
+    if status.code is Code.INTERRUPTED:
+        raise Interrupted(result)
+    return result
+
+
+def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
+    """The choices as in fit.json."""
+    return {
+        "predictor": problem.predictor.name, "criterion": problem.criterion.name,
+        "solver": options.chosen_solver().name, "initialisation": options.initialisation,
+        "disturbance": list(options.disturbance), "estimate_noise": options.estimate_noise, "seed": options.seed,
         "per_flight": sorted({u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}),
-        "fixed": sorted({d.name for d in dynamics.parameters} - set(problem.engine.active)),
+        "fixed": sorted({d.name for d in problem.dynamics.parameters} - set(problem.engine.active)),
         "compiled": problem.engine.compiled,
     }  # fmt: skip
-    whole = Fit(**{**result, "settings": settings})
-    if status.code is Code.INTERRUPTED:
-        raise Interrupted(whole)
-    return whole
 
 
-def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int) -> FloatArray:
+def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatArray:
+    how = options.initialisation
     if how == "nominal":
         return problem.start
     from greybox.estimation import initialisation as init
@@ -274,7 +123,7 @@ def _initialise(problem: Problem, how: str, solver: Any, seed: int, starts: int)
     if how == "multistart":
         from greybox.estimation.multistart import multistart
 
-        return multistart(problem, solver, n=starts, seed=seed).theta[0]
+        return multistart(problem, solver, n=options.starts, seed=options.seed).theta[0]
     raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart", "innovation"))
 
 
@@ -286,12 +135,14 @@ def noise_of(model: IdentifiedModel) -> dict[str, float]:
     return process | sensor
 
 
-def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float) -> dict[str, Any]:
+def _finish(
+    problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float, settings: Mapping[str, Any]
+) -> Fit:
     """Errors, identifiability and the identified model at the solution."""
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
     # predictor that looks further ahead.
-    ahead = max(getattr(problem.predictor, "horizons", (getattr(problem.predictor, "k", 1),)))
-    block = max(1, round(0.5 / problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
+    ahead = max(problem.predictor.horizons)
+    block = max(block_samples(problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
     precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])
@@ -308,8 +159,7 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
         data_hessian = value.data_hessian
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
             warnings.append("the solver stopped at its own tolerance, but a full step would still lower the cost")
-    # Predictors that look further ahead carry the one-step filter that they start from.
-    one_step = getattr(problem.predictor, "filter", problem.predictor)
+    one_step = problem.predictor.one_step
     blocks = list(one_step.blocks(problem, theta, False)) if value.valid else []
     innovations: dict[str, list[FloatArray]] = {}
     whitened: list[FloatArray] = []
@@ -359,17 +209,23 @@ def _finish(problem: Problem, data: Dataset, theta: FloatArray, status: Status, 
     n_samples = int(sum(r.n for r in problem.records))
     free = [i for i, u in enumerate(problem.unknowns) if u.kind != "initial"]
     model = _identified(problem, data, theta, estimates, names, cov, whitened)
-    return {
-        "model": model, "parameters": estimates, "derived": _derived(problem, theta, matrix), "noise": noise,
-        "status": replace(status, seconds=time.perf_counter() - began), "cost": value.cost, "loglik": -value.likelihood,
-        "n_samples": n_samples, "n_parameters": len(free), "correlation_names": names, "correlations": correlation(cov),
-        "unidentifiable": combinations, "innovations": innovations, "coloured": coloured,
-        "flights": tuple(
-            {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)} for f in data.flights
+    return Fit(
+        estimates=Estimates(
+            model=model, parameters=estimates, derived=_derived(problem, theta, matrix), noise=noise,
+            correlation_names=names, correlations=correlation(cov), theta=theta,
         ),
-        "settings": {}, "warnings": tuple(warnings), "data_hash": data.hash, "problem": problem, "theta": theta,
-        "covariance": spread,
-    }  # fmt: skip
+        diagnostics=Diagnostics(
+            status=replace(status, seconds=time.perf_counter() - began), cost=value.cost, loglik=-value.likelihood,
+            unidentifiable=combinations, innovations=innovations, coloured=coloured, covariance=spread,
+            warnings=tuple(warnings),
+        ),
+        provenance=Provenance(
+            problem=problem, settings=settings, data_hash=data.hash, n_samples=n_samples, n_parameters=len(free),
+            flights=tuple(
+                {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)} for f in data.flights
+            ),
+        ),
+    )  # fmt: skip
 
 
 def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
@@ -378,7 +234,7 @@ def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
     return [n for n, s in zip(problem.dynamics.innovations.names, seen, strict=True) if 0 < s < 1 - share]
 
 
-def _label(u: Any) -> str:
+def _label(u: Unknown) -> str:
     return u.name if u.flight is None else f"{u.name} ({u.flight})"
 
 
@@ -498,7 +354,7 @@ def _identified(
         between = _between(np.array([v for v, _ in e.per_flight.values()])) or declared[n].scale
         spread[n] = (e.value, float(between))
     process, sensor = problem.noise_levels(theta)
-    if not problem.predictor.has_noise and not hasattr(problem.predictor, "filter") and innovations:
+    if problem.predictor.misfit_is_sensor_noise and innovations:
         stacked = np.concatenate(innovations)
         good = np.isfinite(stacked).any(axis=0)
         rms = np.sqrt(np.nanmean(np.where(good, stacked, 0.0) ** 2, axis=0))

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.optimize
 
 from greybox.errors import DataError, FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Linearisation, Riccati, stationary
+from greybox.estimation.gain import Riccati, stationary
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.problem import IndexArray, Problem
@@ -25,24 +24,16 @@ from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import FloatArray
 
 
-def _reference(problem: Problem) -> dict[str, Any]:
-    """Linearisation, reference point and pseudo-sensor of the problem, made where its predictor has none."""
-    if "linearisation" not in problem.state:
-        problem.state.update(Innovation().prepare(problem))
-    return problem.state
-
-
 def _filter(
     problem: Problem, theta: FloatArray, process: FloatArray, sensor: FloatArray
 ) -> tuple[Riccati, tuple[FloatArray, ...]]:
     """Stationary filter at given noise levels, and (A, G, C, D) at the reference."""
-    state = _reference(problem)
-    lin: Linearisation = state["linearisation"]
-    x, window = state["reference"]
+    prepared = problem.prepared(Innovation())
+    x, window = prepared.reference
     p = problem.parameters_of(theta, None)
-    values = lin.values(x, window, p, problem.dt)
-    lost = None if state["lost"] is None else state["lost"].at(x, window, p, problem.dt)
-    return stationary(values, process**2, sensor**2, state["weak"], lost=lost), values
+    values = prepared.linearisation.values(x, window, p, problem.dt)
+    lost = None if prepared.lost is None else prepared.lost.at(x, window, p, problem.dt)
+    return stationary(values, process**2, sensor**2, prepared.weak, lost=lost), values
 
 
 def _pass(

@@ -5,25 +5,15 @@ from __future__ import annotations
 import concurrent.futures
 import functools
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from greybox.cores import cores
 from greybox.estimation.problem import Problem
+from greybox.estimation.solver import Solver
 from greybox.estimation.status import Status
 from greybox.symbolic import FloatArray
-
-
-class Solver(Protocol):
-    """What multistart needs of a solver."""
-
-    def solve(
-        self, problem: Problem, start: FloatArray, progress: Callable[[int, float, float], None] | None = None
-    ) -> tuple[FloatArray, Status]:
-        """(estimate, status) from `start`; calls `progress` every iteration."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,137 +10,84 @@ import concurrent.futures
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, TypeVar
+from functools import cached_property
+from types import MappingProxyType
+from typing import TypeVar, Unpack, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from greybox.cores import cores
 from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
+from greybox.estimation.criterion import Criterion
 from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.options import FitChoices, FitOptions
+from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
+from greybox.estimation.solver import IndexArray, Value
+from greybox.estimation.unknown import Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, Layout
 
-IndexArray = npt.NDArray[np.intp]
+__all__ = ["Block", "IndexArray", "Problem", "Unknown", "Value", "few_samples", "make_problem"]
 _S = TypeVar("_S")
 _T = TypeVar("_T")
+_P = TypeVar("_P")
 FEW = 60_000
 """Samples below which sensitivities are compiled without optimisation: a dozen passes over them cost less than it takes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Unknown:
-    """One scalar of the search space. `name` is the parameter's; `flight` is set for a per-flight copy."""
-
-    name: str
-    kind: str  # "parameter", "noise" or "initial"
-    flight: str | None
-    start: float
-    lower: float
-    upper: float
-    mean: float
-    sigma: float
-    scale: float
-    unit: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Block:
-    """What one record adds to the criterion: residuals and how they depend on the unknowns.
-
-    e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,) their places among the
-    unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing channels and its derivative (n_pat, n_s, n_e,
-    n_e), or None where the criterion estimates the weights itself; pattern (n,). A time-varying predictor gives
-    decorrelated residuals instead, with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one
-    `group` (n,) share a variance of their own per channel; `weight` is what one row counts, `spacing`
-    how many samples lie between two rows of one group.
-    """
-
-    record: Record
-    e: FloatArray
-    mask: FloatArray
-    jacobian: FloatArray | None
-    columns: IndexArray
-    covariance: FloatArray | None
-    covariance_slope: FloatArray | None
-    pattern: npt.NDArray[np.int32]
-    variance: FloatArray | None = None
-    variance_slope: FloatArray | None = None
-    group: npt.NDArray[np.int32] | None = None
-    weight: float = 1.0
-    spacing: float = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Value:
-    """Cost (negative log posterior up to nothing: constants included), gradient, Gauss-Newton Hessian, block scores.
-
-    `scores` (n_blocks, n): gradient of consecutive stretches, for the sandwich covariance. `likelihood` is the cost
-    without priors. `valid` False: the model's numbers stopped being finite.
-    """
-
-    cost: float
-    likelihood: float
-    gradient: FloatArray | None = None
-    hessian: FloatArray | None = None
-    data_hessian: FloatArray | None = None
-    scores: FloatArray | None = None
-    valid: bool = True
-
-
-class Predictor(Protocol):
-    """Turns unknowns into residuals. `has_noise`: whether noise levels are unknowns of the fit.
-
-    A predictor whose attribute `has_initial` is False takes the initial states as prior only: they are no unknowns.
-    """
-
-    @property
-    def name(self) -> str:
-        """Catalogue name."""
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether noise levels are unknowns of the fit."""
-
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
-        """Work that is done once per problem."""
-
-    def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
-        """Residuals of every record at `theta`, in the order of the records."""
-
-
-class Criterion(Protocol):
-    """Turns residuals into a cost."""
-
-    @property
-    def name(self) -> str:
-        """Catalogue name."""
-
-    def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
-        """Cost without priors (order 0), with gradient and Gauss-Newton Hessian (order 1)."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """A fit as a minimisation. Build it with `make_problem`."""
+    """A fit as a minimisation. Build it with `make_problem`. Nothing in it changes; `dataclasses.replace` makes another.
+
+    `base` (n_p) are the values of all model parameters where they are not unknowns, `process_level`
+    (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are parameters
+    that are felt of a larger step only (greybox.discovery.differences).
+    """
 
     dynamics: Dynamics
     engine: Engine
-    predictor: Predictor
+    predictor: Predictor[object]
     criterion: Criterion
     records: Sequence[Record]
     unknowns: tuple[Unknown, ...]
-    base: FloatArray  # values of all model parameters (n_p) where they are not unknowns
+    base: FloatArray
+    process_level: FloatArray
+    sensor_level: FloatArray
+    estimate_initial: bool
     dt: float
     means: Mapping[str, float]
     flights: tuple[str, ...]
-    state: dict[str, object] = field(default_factory=dict)
+    thresholds: frozenset[str] = frozenset()
+    _prepared: dict[Predictor[object], object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.state.update(self.predictor.prepare(self))
+        object.__setattr__(self, "records", tuple(self.records))
+        object.__setattr__(self, "means", MappingProxyType(dict(self.means)))
+        for name in ("base", "process_level", "sensor_level"):
+            own = np.array(getattr(self, name), dtype=np.float64)
+            own.flags.writeable = False
+            object.__setattr__(self, name, own)
+        self.prepared(self.predictor)  # now: threads that ask for it later find it
+
+    def prepared(self, predictor: Predictor[_P]) -> _P:
+        """What `predictor` prepares for this problem: worked out once, and shared by equal predictors.
+
+        Raises `ModelError` for a predictor that cannot be hashed.
+        """
+        try:
+            known = predictor in self._prepared
+        except TypeError:
+            raise ModelError(
+                f"predictor {predictor.name} cannot be hashed",
+                fix="@dataclass(frozen=True), and eq=False where it holds arrays",
+            ) from None
+        if not known:
+            self._prepared[predictor] = predictor.prepare(self)
+        # Only `prepare` of an equal predictor wrote there.
+        return cast(_P, self._prepared[predictor])
 
     # ------------------------------------------------------------ vectors
 
@@ -169,43 +116,35 @@ class Problem:
         """Typical sizes, for conditioning."""
         return np.array([u.scale for u in self.unknowns])
 
-    def _index(self) -> dict[tuple[str, str | None], int]:
-        table = self.state.get("index")
-        if table is None:
-            table = {(u.name, u.flight): i for i, u in enumerate(self.unknowns)}
-            self.state["index"] = table
-        return table  # type: ignore[return-value]
+    @cached_property
+    def index(self) -> Mapping[tuple[str, str | None], int]:
+        """(name, flight) -> place among the unknowns; flight None: shared by all."""
+        return MappingProxyType({(u.name, u.flight): i for i, u in enumerate(self.unknowns)})
 
     def place(self, name: str, flight: str | None = None) -> int | None:
         """Index of an unknown (the flight's own copy, else the shared one), or None where it is fixed."""
-        table = self._index()
-        return table.get((name, flight), table.get((name, None)))
+        return self.index.get((name, flight), self.index.get((name, None)))
 
     def parameters_of(self, theta: FloatArray, flight: str | None) -> FloatArray:
         """The model's parameter vector p (n_p) for one flight; None: per-flight parameters at their base values."""
         p = self.base.copy()
         for i, d in enumerate(self.dynamics.parameters):
-            at = self._index().get((d.name, flight)) if flight is not None else None
+            at = self.index.get((d.name, flight)) if flight is not None else None
             if at is None:
-                at = self._index().get((d.name, None))
+                at = self.index.get((d.name, None))
             if at is not None:
                 p[i] = theta[at]
         return p
 
     def noise_levels(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(process (n_w), sensor (n_e)) standard deviations per sample."""
-        process = self.dynamics.noise_scale(self.dt)
-        sensor = self.dynamics.sensor_scale()
-        fixed_w, fixed_v = self.state.get("process_level"), self.state.get("sensor_level")
-        process = np.asarray(fixed_w) if fixed_w is not None else process
-        sensor = np.asarray(fixed_v) if fixed_v is not None else sensor
-        process, sensor = process.copy(), sensor.copy()
+        process, sensor = self.process_level.copy(), self.sensor_level.copy()
         for i, n in enumerate(self.dynamics.noises.names):
-            at = self._index().get((f"noise.process.{n}", None))
+            at = self.index.get((f"noise.process.{n}", None))
             if at is not None:
                 process[i] = np.exp(theta[at])
         for i, n in enumerate(self.dynamics.innovations.names):
-            at = self._index().get((f"noise.sensor.{n}", None))
+            at = self.index.get((f"noise.sensor.{n}", None))
             if at is not None:
                 sensor[i] = np.exp(theta[at])
         return process, sensor
@@ -217,7 +156,7 @@ class Problem:
     def initial_columns(self, record_index: int) -> IndexArray:
         """Places of the initial error state of one record."""
         tag = f"record {record_index}"
-        return np.array([self._index()[(n, tag)] for n in self.dynamics.error_states.names], dtype=np.intp)
+        return np.array([self.index[(n, tag)] for n in self.dynamics.error_states.names], dtype=np.intp)
 
     def initial_state(self, theta: FloatArray, record_index: int) -> FloatArray:
         """x0 of a record: its measured start moved by the initial error state."""
@@ -277,25 +216,9 @@ def few_samples(dataset: Dataset) -> bool:
 
 
 def make_problem(
-    dynamics: Dynamics,
-    dataset: Dataset,
-    *,
-    predictor: Predictor,
-    criterion: Criterion,
-    free: Iterable[str] | None = None,
-    fixed: Iterable[str] = (),
-    per_flight: Iterable[str] = (),
-    shared: Iterable[str] = (),
-    values: Mapping[str, float] | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
-    flight_priors: Mapping[str, tuple[float, float]] | None = None,
-    noise: Mapping[str, float] | None = None,
-    estimate_noise: bool | Literal["process"] = True,
-    estimate_initial: bool = True,
-    build: Iterable[str] | None = None,
-    use_compiler: bool = True,
+    dynamics: Dynamics, dataset: Dataset, options: FitOptions | None = None, **choices: Unpack[FitChoices]
 ) -> Problem:
-    """Set up the unknowns of a fit.
+    """Set up the unknowns of a fit from `options`, or from `choices` (its fields as keywords) on top of them.
 
     Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`, less `fixed`; those
     whose declared scope is flight, or that `per_flight` names, get one copy per flight (`shared` takes it back).
@@ -304,10 +227,13 @@ def make_problem(
     ("noise.sensor.p") or a whole group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
     `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps allow). `build` names
     the parameters that sensitivities are built for, at least the free ones: fits of many subsets share one build.
+    Solver, initialisation and `disturbance` are matters of `fit` and not looked at here.
     Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
+    o = FitOptions.of(options, choices)
+    predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
     declared = {d.name: d for d in dynamics.parameters}
-    estimate_initial = estimate_initial and bool(getattr(predictor, "has_initial", True))
+    estimate_initial = o.estimate_initial and predictor.has_initial
 
     def known(names: Iterable[str]) -> list[str]:
         names = list(names)
@@ -316,51 +242,30 @@ def make_problem(
                 raise UnknownNameError("parameter", n, declared)
         return names
 
-    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(dict(values or {}))
-    held = set(known(fixed))
+    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(dict(o.values))
+    held = set(known(o.fixed))
     chosen = (
         [d.name for d in dynamics.parameters if d.sigma > 0 and d.name not in held]
-        if free is None
-        else [d.name for d in dynamics.parameters if d.name in set(known(free)) - held]
+        if o.free is None
+        else [d.name for d in dynamics.parameters if d.name in set(known(o.free)) - held]
     )
-    own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(per_flight))
-    own -= set(known(shared))
+    own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(o.per_flight))
+    own -= set(known(o.shared))
     dt = sample_time(dataset)
-    wanted = set(chosen if build is None else known(build))
+    wanted = set(chosen if o.build is None else known(o.build))
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
-    engine = engine_for(dynamics, built, use_compiler=use_compiler, quick=few_samples(dataset)).select(tuple(chosen))
+    engine = engine_for(dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
-    priors, flight_priors = dict(priors or {}), dict(flight_priors or {})
-    unknowns = [_declared(declared[n], values[n], None, priors.get(n)) for n in chosen if n not in own]
-    noise = dict(noise or {})
-    levels_known = [f"noise.process.{n}" for n in dynamics.noises.names]
-    levels_known += [f"noise.sensor.{n}" for n in dynamics.innovations.names]
-    for n in noise:
-        if not any(_within(k, n) for k in levels_known):
-            raise UnknownNameError("noise level", n, levels_known)
-    process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
-    for names, levels, prefix, units, spread in (
-        (dynamics.noises.names, process, "noise.process.", dynamics.noises.units, 3.0),
-        (dynamics.innovations.names, sensor, "noise.sensor.", dynamics.innovations.units, 2.0),
-    ):
-        for i, n in enumerate(names):
-            named = [k for k in noise if _within(prefix + n, k)]
-            levels[i] = noise[max(named, key=len)] if named else levels[i]
-            if not levels[i] > 0:
-                raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
-            held_here = estimate_noise == "process" and prefix == "noise.sensor."
-            if estimate_noise and predictor.has_noise and not held_here:
-                c = float(np.log(levels[i]))
-                unknowns.append(
-                    Unknown(
-                        name=prefix + n, kind="noise", flight=None, start=c, lower=c - 12, upper=c + 8, mean=c,
-                        sigma=spread, scale=1.0, unit=units[i],
-                    )
-                )  # fmt: skip
+    unknowns = [_declared(declared[n], values[n], None, o.priors.get(n)) for n in chosen if n not in own]
+    process, sensor = _levels(dynamics, dt, o.noise)
+    if o.estimate_noise and predictor.has_noise:
+        unknowns += _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
+        if o.estimate_noise != "process":
+            unknowns += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
     for f in flights:
         unknowns += [
-            _declared(declared[n], values[n], f, flight_priors.get(n, priors.get(n))) for n in chosen if n in own
+            _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n))) for n in chosen if n in own
         ]
     if estimate_initial:
         for k, r in enumerate(records):
@@ -374,9 +279,40 @@ def make_problem(
     return Problem(
         dynamics=dynamics, engine=engine, predictor=predictor, criterion=criterion, records=records,
         unknowns=tuple(unknowns), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
-        means=channel_means(dataset), flights=flights,
-        state={"process_level": process, "sensor_level": sensor, "estimate_initial": estimate_initial},
+        means=channel_means(dataset), flights=flights, process_level=process, sensor_level=sensor,
+        estimate_initial=estimate_initial,
     )  # fmt: skip
+
+
+def _levels(dynamics: Dynamics, dt: float, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place."""
+    process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
+    known = [f"noise.process.{n}" for n in dynamics.noises.names]
+    known += [f"noise.sensor.{n}" for n in dynamics.innovations.names]
+    for n in noise:
+        if not any(_within(k, n) for k in known):
+            raise UnknownNameError("noise level", n, known)
+    for names, levels, prefix in (
+        (dynamics.noises.names, process, "noise.process."),
+        (dynamics.innovations.names, sensor, "noise.sensor."),
+    ):
+        for i, n in enumerate(names):
+            named = [k for k in noise if _within(prefix + n, k)]
+            levels[i] = noise[max(named, key=len)] if named else levels[i]
+            if not levels[i] > 0:
+                raise ModelError(f"noise level {prefix + n} must be positive", got=f"{levels[i]:g}")
+    return process, sensor
+
+
+def _noise_unknowns(prefix: str, signals: Layout, levels: FloatArray, spread: float) -> list[Unknown]:
+    """Logarithms of noise levels as unknowns; `spread` is the sigma of their prior."""
+    return [
+        Unknown(
+            name=prefix + n, kind="noise", flight=None, start=c, lower=c - 12, upper=c + 8, mean=c, sigma=spread,
+            scale=1.0, unit=unit,
+        )
+        for n, unit, c in zip(signals.names, signals.units, (float(np.log(v)) for v in levels), strict=True)
+    ]  # fmt: skip
 
 
 def _within(level: str, name: str) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.interpolate
@@ -19,6 +18,7 @@ import scipy.stats
 
 from greybox.errors import UnknownNameError
 from greybox.estimation.problem import Problem, Unknown, Value
+from greybox.estimation.solver import Solver
 from greybox.symbolic import BoolArray, FloatArray
 
 
@@ -101,7 +101,7 @@ class Profile:
 
 def profile(
     problem: Problem,
-    solver: Any,
+    solver: Solver,
     theta: FloatArray,
     name: str,
     *,

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
@@ -60,7 +61,7 @@ def hold_missing(values: FloatArray) -> tuple[FloatArray, int]:
     return out, count
 
 
-def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) -> Record:
+def make_record(engine: Engine, segment: Segment, start_seconds: float = START_SECONDS) -> Record:
     """Arrays of `segment` for the engine's model. Raises `DataError` where a command column is absent or empty."""
     dynamics = engine.dynamics
     for name in dynamics.inputs.names:
@@ -80,7 +81,8 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = 0.1) ->
     kinds = np.where(mask, 1.0 + _after_lost(mask, u, dynamics.window[0])[:, None], 0.0)
     patterns, pattern = np.unique(kinds, axis=0, return_inverse=True)
     few = max(3, round(start_seconds / segment.dt))
-    start = {n: segment.channels[n][:few] for n in segment.channels}
+    numbers = {n: v for n, v in segment.extra.items() if v.dtype.kind == "f"} | dict(segment.channels)
+    start = {n: v[:few] for n, v in numbers.items()}
     start["t"] = segment.t[:few]
     x0, sigma = dynamics.initial_state(start)
     return Record(

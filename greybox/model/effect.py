@@ -12,7 +12,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from greybox.model.clock import DELAYS
+from greybox.model.flow import Flow, Remembered
 from greybox.model.parameter import Parameter
+from greybox.model.sensors import SENSORS
 from greybox.symbolic import Expr
 
 Stage = Literal["command", "rotor", "thrust", "body", "wrench", "sensor"]
@@ -23,55 +26,17 @@ SLOTS: Mapping[str, frozenset[str]] = {
     "thrust": frozenset({"thrust_factor", "torque_factor", "thrust_increment"}),
     "body": frozenset({"mass_factor", "inertia_increment", "center_of_mass"}),
     "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
-    "sensor": frozenset(
-        {"gyro", "accelerometer", "attitude", "position", "velocity", "rotor_speed", "imu_delay", "pose_delay"}
-    ),
+    "sensor": frozenset(s.name for s in SENSORS) | DELAYS,
 }
 """What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
 at most one lag [s], longer by lag_asymmetry of itself for rotors that slow down and shorter by as much for those that
 speed up; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
 multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs,
-winds [m/s] in world axes add; sensor: the value replaces the measured one, in the order of `Effect.order`, delays of gyro
-and accelerometer (imu_delay) and of the pose (pose_delay) [s] add."""
+winds [m/s] in world axes add; sensor: the value replaces that of the sensor of that name, in the order of `Effect.order`,
+delays of a clock (see `greybox.model.clock`) [s] add."""
 
-EARLY = frozenset({"delay", "lag", "lag_asymmetry", "wind", "imu_delay", "pose_delay"})
+EARLY = frozenset({"delay", "lag", "lag_asymmetry", "wind"}) | DELAYS
 """Slots that the model must know before it comes to their stage: states, window and airspeeds depend on them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Flow:
-    """All signals that an effect may look at, at one instant. Vectors in body axes (FLU) unless the name says world.
-
-    Fields that the stage at hand does not know yet are None (a command effect sees no thrust).
-    """
-
-    vehicle: Any
-    command: Expr = None  # u (n), after earlier members of the chain
-    nu: Expr = None  # normalised rotor speed (n)
-    nu_rate: Expr = None  # d nu / dt [1/s] (n)
-    rotor_speed: Expr = None  # Omega_i = speed_max nu_i [rad/s] (n); per unit nu where speed_max is unknown
-    thrust: Expr = None  # baseline thrust T_i [N] (n)
-    vbat: Expr = None  # battery voltage [V]
-    velocity: Expr = None  # ground velocity of the centre of mass, body axes [m/s]
-    velocity_world: Expr = None  # the same in world axes [m/s]
-    wind: Expr = None  # wind velocity, body axes [m/s]
-    omega: Expr = None  # body rate [rad/s]
-    angular_acceleration: Expr = None  # d omega / dt [rad/s^2]
-    acceleration_world: Expr = None  # d velocity_world / dt [m/s^2]
-    rotation: Expr = None  # R, body to world (3 x 3)
-    quaternion: Expr = None  # (w, x, y, z), body to world
-    position: Expr = None  # of the centre of mass, world [m]
-    center_of_mass: Expr = None  # from the body origin, body axes [m]
-    memory: Expr = None  # what this effect remembers (see `Effect.memory`)
-    arms: Expr = None  # r_i, hub positions from the centre of mass (3 x n) [m]
-    mass: Expr = None  # [kg]
-    measured: Any = None  # sensor name -> value after earlier members of the chain
-
-    def airspeed(self, i: int) -> Expr:
-        """v_a,i = R^T (v - w) + omega x r_i, airspeed of hub i in body axes [m/s]."""
-        import casadi as ca
-
-        return self.velocity - self.wind + ca.cross(self.omega, self.arms[:, i])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,17 +65,6 @@ class Needs:
     sensors: tuple[str, ...] = ()
     other_sensors: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Remembered:
-    """One state of an effect's own, as a temperature or the velocity of a wake. `size` is typical of it: the spread of what
-    it may be, around zero, when a flight begins."""
-
-    name: str
-    unit: str
-    size: float
-    meaning: str = ""
 
 
 class Effect(ABC):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
@@ -27,6 +27,7 @@ from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented, Disturbance, with_disturbance
 from greybox.model.parameter import ParameterValues
+from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
@@ -206,19 +207,28 @@ class IdentifiedModel:
         return write_json(path, self.to_dict())
 
     @staticmethod
-    def load(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
-        """Read a model file; `effects`: those that the catalogue lacks (`load_effects`).
+    def load(
+        path: str | os.PathLike[str],
+        *,
+        effects: Iterable[Effect] = (),
+        sensors: Iterable[Sensor] = (),
+    ) -> IdentifiedModel:
+        """Read a model file; `effects`, `sensors`: those not in the catalogues (`load_effects`).
 
         Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given),
         `VehicleError`, `UnknownNameError`.
         """
         return IdentifiedModel.from_dict(
-            read_json(path, schema=SCHEMA), where=str(path), effects=effects
+            read_json(path, schema=SCHEMA), where=str(path), effects=effects, sensors=sensors
         )
 
     @staticmethod
     def from_dict(
-        data: Mapping[str, Any], *, where: str = "model", effects: Iterable[Effect] = ()
+        data: Mapping[str, Any],
+        *,
+        where: str = "model",
+        effects: Iterable[Effect] = (),
+        sensors: Iterable[Sensor] = (),
     ) -> IdentifiedModel:
         """Rebuild a model from the values of its file."""
         if data.get("kind") == "hybrid":
@@ -241,13 +251,15 @@ class IdentifiedModel:
                 if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
                     raise ValueError(f"{key} is {float(data[key]):g} s")
             vehicle = Vehicle.from_dict(data["vehicle"], where=where)
-            sensors = {s.name: s for s in SENSORS}
+            known = {s.name: s for s in (*SENSORS, *sensors)}
+            if missing := [str(n) for n in data["sensors"] if n not in known]:
+                raise UnknownNameError("sensor", missing[0], known, where=where)
             dynamics: Dynamics = PhysicsModel(
                 vehicle=vehicle,
                 effects=effects_of(
                     data["effects"], data.get("own_effects", {}), effects, where=where
                 ),
-                sensors=tuple(sensors[n] for n in data["sensors"]),
+                sensors=tuple(known[n] for n in data["sensors"]),
                 input=data["input"],
                 sample_time=float(data["model_sample_time"]),
                 kinematic_noise=bool(data.get("kinematic_noise", False)),

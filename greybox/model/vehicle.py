@@ -6,8 +6,10 @@ The file is long because the class is one thing: the same tables are read, check
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,7 +26,9 @@ from greybox.model.toml_table import TomlTable, describe
 
 SCHEMA = "greybox.vehicle/1"
 NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage", "rotor_speed")
-"""Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s."""
+"""Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s. Other names belong to sensors of the user's own."""
+MISSPELT = 0.8
+"""Likeness (`difflib`) to one of `NOISES` from which on another name is a slip: "gyros" 0.89, "barometer" 0.73."""
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
@@ -80,7 +84,7 @@ class Vehicle:
     """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx, Jyy, Jzz.
 
     `effects` maps effect names to their parameters (the model's catalogue knows which names exist); `noise` has the
-    known sensor sigmas (keys in `NOISES`); `columns` says where a log keeps the canonical channels.
+    known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log keeps the canonical channels.
     """
 
     name: str
@@ -359,6 +363,14 @@ def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
     return out
 
 
+def _names_own_sensor(key: str) -> bool:
+    """Whether a key of [noise] can be that of a sensor of the user's own, and is no slip of the pen for a known one."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", key):
+        return False
+    begins = any(key.startswith(n) or n.startswith(key) for n in NOISES)
+    return not begins and not difflib.get_close_matches(key, NOISES, cutoff=MISSPELT)
+
+
 def _vehicle(top: TomlTable) -> Vehicle:
     schema = top.get("schema")
     if schema != SCHEMA:
@@ -391,7 +403,7 @@ def _vehicle(top: TomlTable) -> Vehicle:
         one = effects_table.table(name)
         effects[name] = MappingProxyType({k: _quantity(one, k, v) for k, v in one.value.items()})
     noise = top.table("noise", {})
-    noise.known(NOISES)
+    noise.known((*NOISES, *(k for k in noise.value if _names_own_sensor(k))))
     battery = top.table("battery", {})
     battery.known(("nominal_voltage",))
     return Vehicle(

@@ -23,10 +23,9 @@ from greybox.estimation.identifiability import marginal_information
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.planning.subject import Subject
+from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
-CLEAR = 5.0
-"""Expected log likelihood ratio above which two explanations are told apart: a BIC difference of 10."""
 GAIN = 1e-3
 """Smallest gain in log determinant for which a piece is exchanged."""
 
@@ -168,8 +167,8 @@ class Pair:
 
     @property
     def separated(self) -> bool:
-        """Whether BIC is expected to differ by more than 10."""
-        return self.expected > CLEAR
+        """Whether BIC is expected to differ by more than `CLEAR`."""
+        return self.expected > CLEAR_LOG_RATIO
 
     @property
     def verdict(self) -> str:
@@ -205,6 +204,6 @@ def pairs(subject: Subject, found: Information) -> list[Pair]:
             left = 0.5 * float(a @ marginal_information(h[np.ix_(order, order)], list(range(own.size))) @ a)
             expected = min(expected, max(left, 0.0))
             overlap = max(overlap, float(np.clip(1 - left / alone, 0.0, 1.0)) if alone > 0 else 1.0)
-            unseen += [effect] if alone <= CLEAR else []
+            unseen += [effect] if alone <= CLEAR_LOG_RATIO else []
         out.append(Pair(effects=(first, second), overlap=overlap, expected=expected, unseen=tuple(unseen)))
     return out

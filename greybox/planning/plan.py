@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Unpack
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -11,11 +12,12 @@ from greybox.data import Dataset
 from greybox.discovery.manoeuvres import flown
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.identifiability import marginal_information, unidentified
-from greybox.model.effect import Effect
+from greybox.estimation.options import says_choices
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
+from greybox.planning.options import PlanChoices, PlanOptions
 from greybox.planning.pieces import Flown, fit_in, pieces, sequence
 from greybox.planning.result import Plan, Step
 from greybox.planning.subject import Subject, subject
@@ -24,25 +26,19 @@ ROUNDS, SMALLER = 8, 0.85
 """How often, and by which factor, manoeuvres that break a limit in the whole flight are made smaller."""
 
 
+@says_choices(PlanOptions)
 def plan(
     vehicle: Vehicle | None = None,
+    options: PlanOptions | None = None,
     *,
     model: IdentifiedModel | None = None,
-    effects: Iterable[str | Effect] = (),
-    seconds: float = 60.0,
-    piece: float = 5.0,
-    flights: int = 1,
-    limits: Limits | None = None,
-    free: Iterable[str] | None = None,
-    values: Mapping[str, float] | None = None,
-    noise: Mapping[str, float] | None = None,
-    sensors: Iterable[str] | None = None,
-    sample_time: float | None = None,
-    setpoints_only: bool = False,
-    seed: int = 0,
     say: Callable[[str], None] | None = None,
+    **choices: Unpack[PlanChoices],
 ) -> Plan:
     """Choose `seconds` of manoeuvres of `piece` seconds each, in `flights` flights, that tell most about what is wanted.
+
+    The choices are keywords, fields of `PlanOptions` with its defaults, or `options` as a whole: effects, seconds, piece,
+    flights, limits, free, values, noise, sensors, sample_time, setpoints_only, seed.
 
     Wanted are the parameters of `effects`, or all that are free where none is named; see `subject` for model, values,
     noise levels and sensors. `limits` default to a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees and the command range less 2 %
@@ -50,11 +46,8 @@ def plan(
     Raises `GreyboxError` (limits without room, nothing to estimate), `FitError` (nothing that can be flown),
     `UnknownNameError`, `ModelError`.
     """
-    effects, free, sensors = (
-        tuple(effects),
-        None if free is None else tuple(free),
-        None if sensors is None else tuple(sensors),
-    )
+    o = PlanOptions.of(options, choices)
+    seconds, piece, flights = o.seconds, o.piece, o.flights
     if not (np.isfinite(seconds) and 2.0 <= piece <= seconds):
         raise GreyboxError(
             "too short a flight",
@@ -70,12 +63,12 @@ def plan(
     with threadpool_limits(limits=1):
         wish, limits, notes = _hovering(
             lambda assumed: subject(
-                vehicle, model, effects=effects, free=free, values=values, noise=noise, sensors=sensors,
-                sample_time=sample_time, assumed=assumed,
+                vehicle, model, effects=o.effects, free=o.free, values=o.values, noise=o.noise, sensors=o.sensors,
+                sample_time=o.sample_time, assumed=assumed,
             ),
-            limits, piece,
+            o.limits, piece,
         )  # fmt: skip
-        candidates, left_out = _flyable(wish, limits, piece, seed, setpoints_only, say)
+        candidates, left_out = _flyable(wish, limits, piece, o.seed, o.setpoints_only, say)
         told = {}
         for name, f in candidates.items():
             told[name] = information(wish, f.log)
@@ -98,7 +91,7 @@ def plan(
         unidentified=unidentified(
             marginal_information(found.matrix, places), [names[i] for i in places], [wish.values[names[i]] for i in places]
         ),
-        left_out=tuple(left_out), warnings=tuple(warnings), seed=seed,
+        left_out=tuple(left_out), warnings=tuple(warnings), seed=o.seed,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.model.sensor import Sensor
-from greybox.model.sensors import SENSORS
+from greybox.model.sensors import USUAL
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
 
@@ -82,7 +82,7 @@ def subject(
         )
     elif vehicle is not None:
         dt, known = sample_time or 0.01, {}
-        names = tuple(sensors or (s for s in (x.name for x in SENSORS[:5]) if s in vehicle.noise)) or DEFAULT_SENSORS
+        names = tuple(sensors or (s for s in (x.name for x in USUAL) if s in vehicle.noise)) or DEFAULT_SENSORS
         own = [e for e in (effect_by_name(n) for n in vehicle.effects) if e.name not in {a.name for a in asked}]
         physics = PhysicsModel(vehicle=vehicle, effects=(*own, *asked), sensors=_sensors(names), sample_time=dt)
     else:
@@ -135,7 +135,7 @@ def subject(
 
 
 def _sensors(names: tuple[str, ...]) -> tuple[Sensor, ...]:
-    known = {s.name: s for s in SENSORS[:5]}
+    known = {s.name: s for s in USUAL}
     for n in names:
         if n not in known:
             raise UnknownNameError("sensor", n, known)
@@ -165,7 +165,7 @@ def _typical(
 
 
 def _flying(physics: PhysicsModel, numbers: Mapping[str, float], dt: float) -> IdentifiedModel:
-    whole = replace(physics, sensors=SENSORS[:5])
+    whole = replace(physics, sensors=USUAL)
     vehicle = physics.vehicle
     c0, c1, c2 = (numbers[f"thrust.c{k}"] for k in range(3))
     share = numbers["mass"] * vehicle.gravity / len(vehicle.rotors)

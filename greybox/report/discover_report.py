@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from greybox.chi_square import log_tail
 from greybox.report import figures
 from greybox.report.discover_figures import band_map, evidence, paired_bars, regime_map
 from greybox.report.discover_sections import flights_section, sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import number, p_value, rounded
+from greybox.statistics.chi_square import log_tail
+from greybox.statistics.evidence import CLEAR, CLEAR_LOG_RATIO
 
 ANSWERS = {
     "bad_data": "The data have faults that block the search. They would be read as physics, so nothing was searched.",
@@ -27,8 +28,6 @@ ANSWERS = {
     "unnamed": "Something structured is left that no effect of the catalogue explains.",
     "nothing_missing": "Nothing is missing at the power of these data.",
 }
-CLEAR = 10.0
-"""BIC difference above which one model is said to beat another."""
 BARS = 14
 """Candidates that a bar chart shows; the table has all."""
 
@@ -304,7 +303,7 @@ def _added(report: Report, content: Mapping[str, Any]) -> None:
         )
     for a in content["ambiguous"]:
         report.paragraph(
-            "One of these, within 10 BIC of each other; the weights are their probabilities if it is one of them:"
+            f"One of these, within {CLEAR:g} BIC of each other; the weights are their probabilities if it is one of them:"
         )
         report.table(
             ["candidate", "weight"], [[c["name"], _percent(c["weight"])] for c in a["candidates"]], numeric=(1,)
@@ -319,7 +318,7 @@ def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
     report.paragraph(
         "What tells them apart: every manoeuvre below was flown in simulation with each candidate as the truth. Listed is "
         "the log likelihood ratio that the other candidates are expected to lose, after the manoeuvre, whatever they bend "
-        "within what these flights allow (5 is BIC 10), and the time to get there at that rate."
+        f"within what these flights allow ({CLEAR_LOG_RATIO:g} is BIC {CLEAR:g}), and the time to get there at that rate."
     )
     rows: list[list[Cell]] = [
         [
@@ -329,7 +328,8 @@ def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
         ]
         for m in (fly, *fly.get("runners_up", ()))
     ]  # fmt: skip
-    report.table(["manoeuvre", "amplitude", "seconds", "expected ratio", "seconds to BIC 10"], rows, numeric=(2, 3, 4))
+    heads = ["manoeuvre", "amplitude", "seconds", "expected ratio", f"seconds to BIC {CLEAR:g}"]
+    report.table(heads, rows, numeric=(2, 3, 4))
 
 
 def _withheld(report: Report, content: Mapping[str, Any]) -> None:

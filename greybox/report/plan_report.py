@@ -15,6 +15,7 @@ from greybox.report.figures import Line
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import MUTED, SERIES
 from greybox.report.words import number
+from greybox.statistics.evidence import CLEAR, CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
 Columns = Mapping[str, FloatArray]
@@ -53,7 +54,8 @@ def plan_report(content: Mapping[str, Any], flights: Sequence[tuple[Columns, Col
         report.table(
             ["effects", "verdict", "log likelihood ratio", "overlap"],
             table,
-            caption="Expected when one is true and the other is fitted in its place; above 5, BIC differs by more than 10.",
+            caption="Expected when one is true and the other is fitted in its place; "
+            f"above {CLEAR_LOG_RATIO:g}, BIC differs by more than {CLEAR:g}.",
         )
     report.section("What to fly")
     use, room = content["used"], content["limits"]

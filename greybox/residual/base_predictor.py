@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from greybox.data import Flight, Segment
 from greybox.data.channel import channel, is_canonical
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, ModelError, UnknownNameError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.linear.prediction import adapt
@@ -42,8 +43,6 @@ from greybox.validation.adapt import adapt_to_flight
 
 Base = LinearModel | IdentifiedModel
 IMU = ("p", "q", "r", "ax", "ay", "az")
-START = 0.1
-"""First seconds of a segment that start a filter (as `make_record` takes them): nothing is predicted there."""
 RUN_IN = 2.0
 """Seconds after which a linear model that starts from zero is taken to have forgotten that."""
 ANGLES = ("phi", "theta", "psi")
@@ -181,7 +180,7 @@ class BasePredictor:
     def _run_filter(self, segment: Segment) -> Run:
         model = self.model
         assert isinstance(model, IdentifiedModel)
-        p, x0, blind = None, None, max(3, round(START / segment.dt))
+        p, x0, blind = None, None, max(3, round(START_SECONDS / segment.dt))
         if self.adapt is not None and segment.flight not in model.trained_on:
             flight = Flight(name=segment.flight, segments=(segment,))
             found = adapt_to_flight(model, flight, self.adapt, riccati=self.filter.riccati)

@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.data import Dataset, Segment
 from greybox.data.channel import channel
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
 from greybox.estimation.linear.fit import LinearFit, fit_linear
@@ -25,27 +26,39 @@ from greybox.estimation.linear.records import Record, split_at_missing
 from greybox.estimation.record import hold_missing
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
-from greybox.residual.base_predictor import BasePredictor
+from greybox.residual.base_predictor import RUN_IN, BasePredictor
+from greybox.residual.compare_scores import SPACING
 from greybox.residual.decoupled import Terms, combined
 from greybox.residual.kinematics import IMU, black_box_view, motion
+from greybox.residual.output_residual import OutputHybrid
+from greybox.residual.regressors import Predictor
 from greybox.symbolic import FloatArray, Signal
 from greybox.validation.baselines import persistence
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.samples import BoolArray
-from greybox.validation.validate import START, validate
+from greybox.validation.validate import validate
 
-RUN_IN = 2.0
-"""Seconds without origins where nothing is adapted: filters forget their start."""
 LONGEST = 13
 """Samples after which every black box has its window full."""
-SPACING = 0.1
-"""Seconds between the origins of the multi-step table."""
 ORDER_SAMPLES = 6000
 """Samples on which the order of linear models is chosen; more would only take longer."""
 AXES: Mapping[str, str] = {"p": "roll", "ay": "roll", "q": "pitch", "ax": "pitch", "r": "yaw", "az": "collective"}
 """Output -> its axis in the decoupled linear models."""
+
+
+class OneStep(Protocol):
+    """What predicts channels one sample ahead; a `Predictor` that need not run on its own."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the n_y channels that it predicts."""
+        ...
+
+    def one_step(self, segment: Segment) -> tuple[FloatArray, FloatArray]:
+        """As in `greybox.residual.regressors.Predictor`."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,7 +120,7 @@ class Bench:
     @property
     def skip(self) -> float:
         """Seconds at the start of every segment without judged samples."""
-        return max(START, LONGEST * self.dt) if self.adapt is not None else RUN_IN
+        return max(START_SECONDS, LONGEST * self.dt) if self.adapt is not None else RUN_IN
 
     @cached_property
     def late(self) -> tuple[BoolArray, ...]:
@@ -189,7 +202,9 @@ class Bench:
 
     # ------------------------------------------------------------------------------------------------ outcomes
 
-    def channels_of(self, predictor: Any, views: Sequence[Segment]) -> tuple[list[FloatArray], list[FloatArray], float]:
+    def channels_of(
+        self, predictor: OneStep, views: Sequence[Segment]
+    ) -> tuple[list[FloatArray], list[FloatArray], float]:
         """(means, variances) of the judged channels on `views`, and microseconds per sample."""
         both = [predictor.one_step(s) for s in views]
         # Adaptation to the flight and compilation are no part of a prediction.
@@ -226,7 +241,7 @@ class Bench:
             return None
 
     def outcome(
-        self, label: str, predictor: Any, *, views: bool, seconds: float, search: Sequence[Mapping[str, Any]] = (),
+        self, label: str, predictor: Predictor, *, views: bool, seconds: float, search: Sequence[Mapping[str, Any]] = (),
         settings: Mapping[str, Any] | None = None,
     ) -> Outcome:  # fmt: skip
         """Everything of a predictor of channels; `views`: it sees those of black boxes."""
@@ -267,8 +282,10 @@ class Bench:
         return np.asarray(np.nanmean(np.concatenate(ratios), axis=0))
 
 
-def _unadapted(predictor: Any) -> Any:
+def _unadapted(predictor: OneStep) -> OneStep:
+    """The predictor without adaptation to the flight, where it has one."""
     if isinstance(predictor, BasePredictor):
         return replace(predictor, adapt=None)
-    base = getattr(predictor, "base", None)
-    return replace(predictor, base=replace(base, adapt=None)) if isinstance(base, BasePredictor) else predictor
+    if isinstance(predictor, OutputHybrid):
+        return replace(predictor, base=replace(predictor.base, adapt=None))
+    return predictor

@@ -19,6 +19,9 @@ from greybox.validation.metrics import r_squared
 from greybox.validation.predictive import score
 from greybox.validation.whiteness import whiteness
 
+SPACING = 0.1
+"""Seconds between the origins of a multi-step table: neighbours tell the same."""
+
 MEANS = ("mse", "r2", "spectral_error", "nlpd", "crps", "coverage50", "coverage68", "coverage95")
 """What `one_step_scores` gives as means over channels."""
 

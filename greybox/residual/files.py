@@ -16,6 +16,7 @@ from greybox.errors import FileFormatError, GreyboxError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
+from greybox.model.sensor import Sensor
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 
@@ -38,8 +39,11 @@ def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
     return {**body, "checksum": _checksum(body)}
 
 
-def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> IdentifiedModel:
-    """Read a model file, physics or hybrid; `effects` are those that are not in the catalogue (`load_effects`).
+def load_model(
+    path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
+) -> IdentifiedModel:
+    """Read a model file, physics or hybrid; `effects` and `sensors` are those that are not in the catalogues
+    (`load_effects`).
 
     Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`, `ModelError`.
     """
@@ -50,13 +54,13 @@ def load_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
             "a predictor of outputs, not a model of motion", where=where, fix="read it with OutputHybrid.load"
         )
     if data.get("kind") != "hybrid":
-        return IdentifiedModel.from_dict(data, where=where, effects=effects)
+        return IdentifiedModel.from_dict(data, where=where, effects=effects, sensors=sensors)
     if _checksum(data) != data.get("checksum"):
         raise FileFormatError(
             "the checksum does not fit", where=where, fix="the file was edited or cut off; write it again"
         )
     try:
-        base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects)
+        base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects, sensors=sensors)
         posterior = GPPosterior.from_dict(data["gp"])
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         if isinstance(error, GreyboxError):

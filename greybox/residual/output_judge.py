@@ -10,13 +10,10 @@ import numpy as np
 from greybox.data import Dataset, Segment
 from greybox.errors import DataError
 from greybox.residual.base_predictor import RUN_IN
-from greybox.residual.compare_scores import one_step_scores
+from greybox.residual.compare_scores import SPACING, one_step_scores
 from greybox.residual.output_residual import OutputHybrid
 from greybox.symbolic import FloatArray
 from greybox.validation.predictive import score
-
-SPACING = 0.1
-"""Seconds between origins."""
 
 
 def judge(hybrid: OutputHybrid, data: Dataset, *, spread: FloatArray, horizons: Sequence[int]) -> dict[str, Any]:

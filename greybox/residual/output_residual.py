@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,7 @@ from greybox.model.linear import LinearModel
 from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor
 from greybox.residual.decoupled import Terms, combined
 from greybox.residual.features import default_features
+from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.regressors import segments_of
 from greybox.symbolic import FloatArray, Layout, Signal
@@ -213,22 +214,20 @@ def fit_output_residual(
     outputs: Sequence[str] = (),
     channels: Mapping[str, Terms] | None = None,
     features: Sequence[str] | None = None,
-    kernel: str = "se",
-    points: int | str = 100,
     adapt: float | None = None,
-    seed: int = 0,
-    hold_out: float = 0.25,
     progress: Callable[[str, float], None] | None = None,
+    **choices: Unpack[GPChoices],
 ) -> OutputHybrid:
     """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of `train`.
 
-    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to `output_features`; `kernel`,
-    `points` and `hold_out` are those of `train_gp`. Raises `DataError`, `UnknownNameError`, `ModelError`, and
-    `MissingExtraError` without the extra `gp`.
+    `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to `output_features`; the choices
+    (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`. Raises `DataError`, `UnknownNameError`,
+    `ModelError`, and `MissingExtraError` without the extra `gp`.
     """
     from greybox.residual.train import train_gp
 
     began = time.perf_counter()
+    options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     if isinstance(model, BasePredictor):
         base = model
     else:
@@ -243,14 +242,13 @@ def fit_output_residual(
     z, r, flights = residual_rows(base, segments, names)
     units = {s.name: s.unit for s in base.dynamics.outputs}
     trained = train_gp(
-        z, r, inputs=layout, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), kernel=kernel,
-        points=points, seed=seed, groups=flights, hold_out=hold_out,
-        noise_inflation=1.0, progress=progress,
+        z, r, inputs=layout, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), options=options,
+        groups=flights, progress=progress,
     )  # fmt: skip
-    settings = {"features": list(names), "kernel": kernel, "points": points}
+    settings = {"features": list(names), "kernel": options.kernel, "points": options.points}
     return OutputHybrid(
         base=base, posterior=with_measured_noise(trained.posterior, z, r), train_seconds=time.perf_counter() - began,
-        report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
+        report={"settings": settings, "seed": options.seed, "samples": len(z), "training": trained.report.to_dict()},
     )  # fmt: skip
 
 

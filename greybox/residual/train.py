@@ -11,18 +11,19 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from greybox.errors import MissingExtraError, ModelError, UnknownNameError
+from greybox.errors import MissingExtraError, ModelError
 from greybox.residual import sparse
 from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
 from greybox.residual.judgement import judge, points_curve
-from greybox.residual.kernels import Kernel, split_name
-from greybox.residual.posterior import METHODS, Domain, GPPosterior
+from greybox.residual.kernels import Kernel
+from greybox.residual.options import GPChoices, GPOptions
+from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import SIZES, Curve, held_out, place_points, stratified
 from greybox.residual.training_report import OutputReport, TrainedGP, TrainingReport
 from greybox.residual.training_rows import Rows, complete_rows
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share of all work that is done."""
-NOISE = ("white", "per-group", "auto")
 REACH = 1.5
 """The linear part is faded out from this multiple of the largest training input on."""
 POLISH_SAMPLES = 2000
@@ -47,22 +47,6 @@ def _torch() -> Any:
             f"training a GP needs PyTorch and GPyTorch ({error})", fix="pip install greybox[gp]"
         ) from None
     return torch_gp
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Settings:
-    kernel: str
-    method: str
-    seed: int
-    restarts: int
-    noise: str
-    noise_inflation: str | float
-    share_kernel: bool
-    prior_mean: str
-    subset: int
-    polish: bool
-    guard: bool
-    epochs: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,29 +75,20 @@ def train_gp(
     *,
     inputs: Layout,
     outputs: Layout,
-    kernel: str = "se",
-    method: str = "sgpr",
-    points: int | str = 100,
-    seed: int = 0,
-    restarts: int = 2,
+    options: GPOptions | None = None,
     groups: Sequence[Any] | npt.NDArray[Any] | None = None,
-    noise: str = "white",
-    noise_inflation: str | float = "auto",
-    share_kernel: bool = False,
-    prior_mean: str = "zero",
-    subset: int = 400,
-    hold_out: float = 0.25,
-    polish: bool = False,
-    guard: bool = True,
-    epochs: int = 5,
     progress: Progress | None = None,
+    **choices: Unpack[GPChoices],
 ) -> TrainedGP:
     """Train one independent GP per output on rows Z (N, n_in) -> Y (N, n_out), in the units of the layouts.
 
+    The choices are keywords, fields of `GPOptions` with its defaults, or `options` as a whole. groups (N,): the flight of
+    each row, None for one flight; rows of a group are in time order.
+
     kernel: "se" (ARD), "matern32", "matern52", or "linear+" one of these. method: "sgpr" (all data projected on `points`
     support points), "svgp" (the same start, then `epochs` of mini-batches), "exact" (every sample a support point). points:
-    a number, or "auto" for the smallest number whose held-out NLPD is as good as the best. groups (N,): the flight of each
-    row, None for one flight; rows of a group are in time order. noise: "white", "per-group", or "auto" (per group where the
+    a number, or "auto" for the smallest number whose held-out NLPD is as good as the best. noise: "white", "per-group",
+    or "auto" (per group where the
     BIC says so). noise_inflation: "auto" (integrated autocorrelation time of the standardised errors within groups), or a
     factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
     data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
@@ -123,13 +98,10 @@ def train_gp(
     Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
     `MissingExtraError` without the extra `gp`.
     """
-    _check_names(kernel, method, points, noise, noise_inflation, prior_mean)
+    settings = GPOptions.of(options, choices)
+    points, seed, hold_out = settings.points, settings.seed, settings.hold_out
     rows, names, dropped = complete_rows(Z, Y, groups, inputs, outputs)
-    settings = _Settings(
-        kernel=kernel, method=method, seed=seed, restarts=restarts, noise=noise, noise_inflation=noise_inflation,
-        share_kernel=share_kernel, prior_mean=prior_mean, subset=subset, polish=polish, guard=guard, epochs=epochs,
-    )  # fmt: skip
-    if points == "auto" and (method == "exact" or hold_out <= 0):
+    if points == "auto" and (settings.method == "exact" or hold_out <= 0):
         raise ModelError('points="auto" needs a sparse method and a hold-out', fix="pass a number of points")
     torch_gp = _torch()
     report = progress or (lambda _text, _share: None)
@@ -183,8 +155,8 @@ def train_gp(
     return TrainedGP(
         posterior=posterior,
         report=TrainingReport(
-            method=method, kernel=kernel, points=posterior.points, subset=final.subset, rows_used=len(rows.z),
-            rows_dropped=dropped, groups=len(names), held_out=out_names, curve=curve, seconds=seconds,
+            method=settings.method, kernel=settings.kernel, points=posterior.points, subset=final.subset,
+            rows_used=len(rows.z), rows_dropped=dropped, groups=len(names), held_out=out_names, curve=curve, seconds=seconds,
             warnings=tuple(warnings),
             outputs=tuple(
                 _report_output(posterior, j, o, bool(null[j]), judged.get(j, {})) for j, o in enumerate(final.outputs)
@@ -193,23 +165,8 @@ def train_gp(
     )  # fmt: skip
 
 
-def _check_names(
-    kernel: str, method: str, points: int | str, noise: str, noise_inflation: str | float, prior_mean: str
-) -> None:
-    split_name(kernel)
-    for kind, value, known in (
-        ("GP method", method, METHODS), ("noise model", noise, NOISE), ("prior mean", prior_mean, ("zero", "constant")),
-    ):  # fmt: skip
-        if value not in known:
-            raise UnknownNameError(kind, value, known)
-    if points != "auto" and (isinstance(points, str) or points < 1):
-        raise ModelError("the number of support points", expected='a positive number or "auto"', got=repr(points))
-    if noise_inflation != "auto" and (isinstance(noise_inflation, str) or not 1.0 <= noise_inflation < math.inf):
-        raise ModelError("noise_inflation", expected='"auto" or a factor of at least 1', got=repr(noise_inflation))
-
-
 def _train(
-    rows: Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: _Settings,
+    rows: Rows, inputs: Layout, outputs: Layout, names: Sequence[str], points: int, s: GPOptions,
     start: Sequence[Hyper] | None, null: BoolArray, progress: Progress, share: tuple[float, float],
 ) -> _Trained:  # fmt: skip
     """Hyper-parameters on a subset, then the posterior from all of `rows`; statistics from these rows alone."""
@@ -297,7 +254,7 @@ def _null_output(hyper: Hyper, mean_square: float, points: int) -> _Output:
 
 
 def _output(
-    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: Rows, s: _Settings
+    hyper: Hyper, noise: float, support: FloatArray, x: FloatArray, y: FloatArray, rows: Rows, s: GPOptions
 ) -> _Output:
     """The posterior of one output from all rows, with its noise inflated for correlation in time."""
     kernel = hyper.kernel

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from greybox.errors import DataError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.filtering import Filter
 from greybox.estimation.gain import Riccati
-from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictors.innovation import StationaryGain
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.identified import IdentifiedModel
@@ -43,15 +44,16 @@ class Adaptation:
         return {n: {"value": v, "std": self.std[n], "unit": self.units[n]} for n, v in self.values.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class FixedGain(Innovation):
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FixedGain(StationaryGain[None]):
     """Innovation form whose gain is given: per-flight parameters do not move it, and noise levels are fixed."""
 
     solution: Riccati
+    name: str = "innovation"
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> None:
         """Nothing to prepare."""
-        return {}
 
     def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
         """The given solution."""

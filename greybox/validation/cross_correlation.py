@@ -21,8 +21,8 @@ import scipy.linalg
 import scipy.stats
 
 from greybox.errors import DataError
+from greybox.statistics.correlation import centred, check_lags, lagged
 from greybox.symbolic import FloatArray
-from greybox.validation.correlation import centred, check_lags, lagged
 from greybox.validation.samples import names_for, stretches
 
 NOTE = (

@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.errors import DataError, UnknownNameError
 from greybox.frames import numeric
+from greybox.model.sensors import USUAL
 from greybox.symbolic import FloatArray
 
 
@@ -36,14 +37,15 @@ class Group:
 GROUPS = {
     g.name: g
     for g in (
-        Group(name="position", unit="m", columns=("x", "y", "z")),
-        Group(name="velocity", unit="m/s", columns=("vx", "vy", "vz")),
-        Group(name="rotation", unit="rad", columns=("qw", "qx", "qy", "qz")),
-        Group(name="rate", unit="rad/s", columns=("p", "q", "r")),
-        Group(name="specific_force", unit="m/s^2", columns=("ax", "ay", "az")),
+        Group(
+            name=s.group,
+            unit=s.innovation_signals(None)[0].unit,
+            columns=tuple(x.name for x in s.signals(None)),
+        )
+        for s in USUAL
     )
 }
-"""The groups by name, in the order of the tables."""
+"""The groups of the usual sensors by name, in the order of the tables."""
 
 
 def group(name: str) -> Group:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
+from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
@@ -35,8 +36,6 @@ from greybox.validation.stated import stated_covariances
 Progress = Callable[[str], None]
 CHUNK = 4000
 """Origins that are rolled out at once (bounds the memory)."""
-START = 0.1
-"""First seconds of every segment, which start the filter (as `make_record` does): origins come after them."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
 SPARSE = 0.8
@@ -51,7 +50,7 @@ def validate(
     adapt: float | None = None,
     measured_start: bool = False,
     every: int = 1,
-    skip: float = START,
+    skip: float = START_SECONDS,
     progress: Progress | None = None,
     use_compiler: bool = True,
 ) -> Validation:

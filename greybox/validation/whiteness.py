@@ -19,23 +19,10 @@ import numpy.typing as npt
 import scipy.stats
 
 from greybox.errors import DataError
+from greybox.statistics.correlation import check_lags, predictable_share
+from greybox.statistics.whiteness import Portmanteau, autocorrelation, hosking, ljung_box
 from greybox.symbolic import FloatArray
-from greybox.validation.correlation import centred, check_lags, lagged, predictable_share
 from greybox.validation.samples import names_for, stretches
-
-
-@dataclass(frozen=True, kw_only=True)
-class Portmanteau:
-    """A portmanteau test: statistic `q`, degrees of freedom `dof`, probability `p_value` of that much if white."""
-
-    q: float
-    dof: int
-    p_value: float
-    n: int
-
-    def to_dict(self) -> dict[str, float | int]:
-        """Plain values under the names of the fields."""
-        return {"q": self.q, "dof": self.dof, "p_value": self.p_value, "n": self.n}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,34 +94,6 @@ class Whiteness:
         return "\n".join(lines)
 
 
-def _degrees(total: int, fitted: int) -> int:
-    if total - fitted < 1:
-        raise DataError(
-            f"whiteness: {total} correlations leave nothing to test after {fitted} parameters", fix="use more lags"
-        )
-    return total - fitted
-
-
-def _multivariate(records: Sequence[FloatArray], max_lag: int, fitted: int) -> Portmanteau | None:
-    d = records[0].shape[1]
-    rows = [np.where(np.isfinite(r).all(axis=1, keepdims=True), r, np.nan) for r in records]
-    n = int(sum(np.isfinite(r[:, 0]).sum() for r in rows))
-    if n < 4 * max_lag * d:
-        return None
-    values, weights = centred(rows, each=False)
-    at_zero, _ = lagged(values, weights, values, weights, [0])
-    try:
-        root = np.linalg.cholesky(at_zero[0])
-    except np.linalg.LinAlgError:
-        raise DataError("whiteness: two innovation components are copies of each other", fix="leave one out") from None
-    white = [np.asarray(np.linalg.solve(root, v.T).T, dtype=np.float64) for v in values]
-    c, count = lagged(white, weights, white, weights, range(1, max_lag + 1))
-    # Pair counts per lag stand in for n - k; full records give Hosking's n^2 sum tr(..)/(n - k), with the n + 2 form.
-    q = float(np.sum(count * c * c)) * (n + 2.0) / n
-    dof = _degrees(d * d * max_lag, fitted)
-    return Portmanteau(q=q, dof=dof, p_value=float(scipy.stats.chi2.sf(q, dof)), n=n)
-
-
 def whiteness(
     innovations: Sequence[npt.ArrayLike] | npt.ArrayLike,
     *,
@@ -157,17 +116,13 @@ def whiteness(
     check_lags(records, max_lag, what="innovations")
     if fitted < 0 or not 0.0 < level < 1.0:
         raise DataError("whiteness: fitted >= 0 and 0 < level < 1 are needed", got=f"fitted={fitted}, level={level:g}")
-    dof = _degrees(max_lag, fitted)
     z = float(scipy.stats.norm.ppf(0.5 + level / 2.0))
     channels = []
     for j, name in enumerate(labels):
         column = [r[:, j : j + 1] for r in records]
-        values, weights = centred(column, each=False)
-        c, count = lagged(values, weights, values, weights, range(max_lag + 1))
-        n = int(count[0, 0, 0])
-        r, pairs = c[1:, 0, 0] / c[0, 0, 0], count[1:, 0, 0]
+        seen = autocorrelation(column, max_lag)
+        n, r, pairs = seen.n, seen.r, seen.pairs
         band = np.where(pairs > 0, z / np.sqrt(np.maximum(pairs, 1.0)), np.inf)
-        q = float(np.sum(pairs * r * r)) * (n + 2.0) / n
         everything = np.concatenate(column)[:, 0]
         channels.append(
             ChannelWhiteness(
@@ -181,8 +136,8 @@ def whiteness(
                 outside=float(np.mean(np.abs(r) > band)),
                 # Weighting by the share of pairs keeps the sequence positive definite for full records.
                 predictable=predictable_share(r * pairs / n),
-                test=Portmanteau(q=q, dof=dof, p_value=float(scipy.stats.chi2.sf(q, dof)), n=n),
+                test=ljung_box(seen, fitted=fitted),
             )
         )
-    joint = _multivariate(records, max_lag, fitted * d) if d > 1 else None
+    joint = hosking(records, max_lag, fitted=fitted * d) if d > 1 else None
     return Whiteness(channels=tuple(channels), multivariate=joint, max_lag=max_lag, fitted=fitted, level=level)

@@ -25,7 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from greybox.frames import numeric
+from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
@@ -40,8 +40,6 @@ from mpc_export.tube.stages import block
 
 FOREVER = 1e6
 """Time constant [s] of a disturbance that is as good as constant."""
-GRAVITY = 9.80665
-"""Weighs the steady tilt against the acceleration of the path [m/s^2]."""
 LATE = 0.25
 """A longer pause between two calls is a fault of the clock [s]."""
 EARLY = 0.25

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from greybox.discovery.name import CLEAR
 from greybox.files import write_atomic
+from greybox.statistics.evidence import CLEAR
 from scenarios.studies.rows import wilson
 
 Row = dict[str, Any]

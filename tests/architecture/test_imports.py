@@ -12,8 +12,8 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "chi_square", "cores", "interrupts")
-ROOMS = ("data", "model", "estimation", "validation", "residual", "discovery", "planning", "report")
+BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts")
+ROOMS = ("statistics", "data", "model", "estimation", "validation", "residual", "discovery", "planning", "report")
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}
 PLAIN_NUMBERS = "greybox.model.vehicle"
 """Holds only what a vehicle file says, so that the readers in greybox.data may use it."""

@@ -12,8 +12,11 @@ from units import dimensions
 
 from greybox.data.channel import channel
 from greybox.frames import quat_exp, quat_multiply, rotation_matrix
+from greybox.model.clock import CLOCKS
 from greybox.model.effect import Flow
+from greybox.model.model import BLOCKS
 from greybox.model.sensors import SENSORS
+from greybox.model.vehicle import NOISES
 
 every_sensor = pytest.mark.parametrize("sensor", [pytest.param(s, id=s.name) for s in SENSORS])
 
@@ -37,6 +40,37 @@ def test_columns_are_those_of_the_log_contract_with_their_units(sensor):
         if sensor.name != "gyro":
             assert declared.group in (sensor.group, sensor.name)
     assert len(sensor.summary) > 5
+
+
+@every_sensor
+def test_what_a_sensor_declares_of_itself_is_complete(sensor):
+    assert sensor.clock in CLOCKS
+    assert sensor.delay == 0.0
+    noise = np.broadcast_to(sensor.typical_noise(crooked()), len(sensor.innovation_signals(crooked())))
+    assert (noise > 0).all()
+    assert (noise < sensor.noisiest).all()
+    assert (sensor.noisiest < np.inf) == bool(sensor.noisiest_hint)
+    assert sensor.name in NOISES
+    assert sensor.witnesses <= {s.name for s in SENSORS}
+    assert sensor.shows in {*BLOCKS, None}
+
+
+@every_sensor
+def test_a_flight_starts_where_its_sensor_says(sensor):
+    """A sensor that shows a state block starts it at its first complete row; of no reading it says nothing."""
+    columns = len(sensor.signals(crooked()))
+    t = 0.01 * np.arange(5)
+    rows = np.tile(random_quaternion(np.random.default_rng(3))[:columns], (5, 1))
+    rows[0, 0] = np.nan
+    assert sensor.starts(np.full((5, columns), np.nan), t) == ()
+    said = {s.block: s for s in sensor.starts(rows, t)}
+    assert (sensor.shows in said) == (sensor.shows is not None)
+    if sensor.shows is not None:
+        np.testing.assert_allclose(said[sensor.shows].value, rows[1], rtol=1e-12)
+    for start in said.values():
+        assert len(start.value) == BLOCKS[start.block].size
+        assert len(start.spread) == 3
+        assert (np.asarray(start.spread) < BLOCKS[start.block].spread).all()
 
 
 @every_sensor
@@ -156,8 +190,8 @@ def test_a_hovering_accelerometer_reads_plus_g_and_a_falling_one_nothing():
     # No lever arm between IMU and centre of mass matters as long as nothing turns: ask for the specific force alone.
     values |= centred
     p = ca.DM(list(values.values()))
-    specific, _, _ = model._rigid_body(
-        model._split(x)[0], ca.DM([nu] * 4), ca.DM.zeros(4), ca.DM.zeros(4), p, ca.DM.zeros(6)
+    specific, _, _ = model.body.accelerations(
+        model._split(x)[0], ca.DM([nu] * 4), ca.DM.zeros(4), ca.DM.zeros(4), values, ca.DM.zeros(6)
     )
     np.testing.assert_allclose(number(specific), [0, 0, crooked().gravity], atol=1e-12)
     np.testing.assert_allclose(number(model.h(0, x, ca.DM.zeros(4), p))[rows], [0, 0, 0], atol=1e-12)

@@ -6,6 +6,7 @@ import concurrent.futures
 import pickle
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -74,11 +75,11 @@ def test_what_cannot_be_sent_runs_here(nest: Nest, tasks: list[Task], alone: lis
         def submit(self, fn, /, *args, **kwargs):  # type: ignore[no-untyped-def]
             raise AssertionError("sent")
 
-    class Sealed(dict):  # type: ignore[type-arg]
+    class Sealed(float):
         def __reduce__(self):  # type: ignore[no-untyped-def]
             raise pickle.PicklingError("sealed")
 
-    closed = [Task(**{**vars(t), "values": Sealed(t.values)}) for t in tasks]
+    closed = [replace(t, tolerance=Sealed(t.tolerance)) for t in tasks]
     there = Nest(candidates=nest.candidates, data=nest.data, executor=Refuses())
     assert [r.theta for r in there.refits(closed)] == [r.theta for r in alone]
 

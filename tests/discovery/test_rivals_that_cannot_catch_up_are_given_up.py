@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from greybox.discovery.nested import OPENING, ROOM, ROUGH, Nest, Refit, Task
+from greybox.estimation.options import FitOptions
 from greybox.estimation.status import Code, Status
 
 SAMPLES = 1000
@@ -17,7 +18,7 @@ SAMPLES = 1000
 
 def task(name: str, *, marginal: bool = False) -> Task:
     return Task(
-        effects=(name,), model=cast(Any, None), free=(), values={}, noise=None, starts=({},), choices={}, marginal=marginal
+        effects=(name,), model=cast(Any, None), options=FitOptions(free=()), starts=({},), marginal=marginal
     )  # fmt: skip
 
 

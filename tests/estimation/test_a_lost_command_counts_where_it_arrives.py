@@ -169,7 +169,7 @@ def test_of_a_linear_record_half_arrives_one_row_earlier(flight):
     for hold in ("zero", "linear"):
         other = replace(vehicle, actuator=replace(vehicle.actuator, hold=hold))
         problem = problem_of(other, whole)
-        x, window = problem.state["reference"]
+        x, window = problem.prepared(Innovation()).reference
         pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
         moved[hold] = [np.abs(v).sum() for v in (pushes.B[0], pushes.early)]
     assert moved["zero"][1] == 0.0
@@ -181,7 +181,7 @@ def test_a_lost_command_moves_what_commands_move_when_they_arrive(flight, delay,
     vehicle, whole, _, _ = flight
     effects = ("command_delay",) if delay else ()
     problem = problem_of(vehicle, whole, effects, values={"command_delay.d": delay} if delay else None)
-    x, window = problem.state["reference"]
+    x, window = problem.prepared(Innovation()).reference
     pushes = lost_commands(problem.dynamics).at(x, window, problem.parameters_of(problem.start, None), problem.dt)
     at = {n: i for i, n in enumerate(problem.dynamics.error_states.names)}
     spread = np.sqrt((pushes.B**2).sum(axis=2))

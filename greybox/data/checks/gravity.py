@@ -10,9 +10,8 @@ from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.signals import correlation, derivative, smoothed
 from greybox.data.checks.view import FloatArray, View
-from greybox.frames import numeric
+from greybox.frames import GRAVITY, numeric
 
-STANDARD = 9.81
 TILT = (10.0, 45.0)
 """Angle [deg] of the mean specific force from the world's up that is worth a warning, and that blocks."""
 
@@ -58,11 +57,11 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         fix = "log the raw accelerometer (it reads +9.81 at rest), not the acceleration of the craft"
         yield _finding(view, "blocking", text, fix, {**evidence, "straightness": straight}, where)
         return
-    share = size / STANDARD
-    if 1 / STANDARD / 2 < share < 2 / STANDARD:
+    share = size / GRAVITY
+    if 1 / GRAVITY / 2 < share < 2 / GRAVITY:
         fix = "set scale = 9.81 for ax, ay, az in [columns]"
         yield _finding(view, "blocking", f"the specific force is in g (median size {size:.3g})", fix, evidence, where)
-    elif STANDARD / 2 < share < STANDARD * 2:
+    elif GRAVITY / 2 < share < GRAVITY * 2:
         text = f"the specific force was scaled from g twice (median size {size:.3g})"
         yield _finding(view, "blocking", text, "drop the scale of ax, ay, az in [columns]", evidence, where)
     elif not 0.6 < share < 1.6:

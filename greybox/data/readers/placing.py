@@ -10,16 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from greybox.data.raw import FloatArray
-from greybox.data.resampling import continuous_signs
+from greybox.data.resampling import AVERAGE_FROM, STRETCH, continuous_signs
 
 SLOW = 2.0
 """A stream whose step is longer than this many rows is not interpolated: its samples stand in single rows."""
-
-FAST = 1.5
-"""Rows this many times longer than a stream's step average it."""
-
-STRETCH = 2.5
-"""Nothing is interpolated over a step longer than this many median steps of its stream."""
 
 COMMAND_AGE = 0.1
 """A command is held for at most this time [s], or five of its steps where that is longer."""
@@ -52,7 +46,7 @@ def at_rows(
     weight = ((rows - t[i]) / width)[:, None]
     good = (rows >= t[0] - 0.5 * own) & (rows <= t[-1] + 0.5 * own)
     good &= (width <= STRETCH * own) | (np.abs(weight[:, 0]) < 1e-9) | (np.abs(weight[:, 0] - 1) < 1e-9)
-    if row_step > FAST * own:
+    if row_step > AVERAGE_FROM * own:
         half = 0.5 * row_step
         area = np.vstack(
             [np.zeros(values.shape[1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], 0)]

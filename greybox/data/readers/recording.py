@@ -21,6 +21,7 @@ import numpy.typing as npt
 from greybox.data.memory import allowance, bounded
 from greybox.data.raw import FloatArray
 from greybox.errors import DataError, GreyboxError
+from greybox.frames import GRAVITY
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,16 +76,13 @@ class Source:
     note: str = ""
 
 
-GRAVITY_UNIT = 9.80665
-"""One g [m/s^2]: the unit of accelerometers that report g."""
-
 UNITS: Mapping[str, Mapping[str, float]] = {
     "command": {"1": 1.0},
     "rotor_speed": {"rad/s": 1.0, "rpm": np.pi / 30, "Hz": 2 * np.pi},
     "battery": {"V": 1.0, "mV": 1e-3},
     "attitude": {"1": 1.0, "rad": 1.0, "deg": np.pi / 180},
     "rate": {"rad/s": 1.0, "deg/s": np.pi / 180, "mrad/s": 1e-3},
-    "specific_force": {"m/s^2": 1.0, "g": GRAVITY_UNIT, "mg": 1e-3 * GRAVITY_UNIT},
+    "specific_force": {"m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY},
     "position": {"m": 1.0, "mm": 1e-3},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3},
     "setpoint": {"m": 1.0, "mm": 1e-3},

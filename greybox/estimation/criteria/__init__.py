@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.criteria.least_squares import LeastSquares
 from greybox.estimation.criteria.robust import Robust
+from greybox.estimation.criterion import Criterion
 
-CRITERIA: Mapping[str, Any] = {"gaussian": Gaussian, "least-squares": LeastSquares, "robust": Robust}
+CRITERIA: Mapping[str, Callable[..., Criterion]] = {
+    "gaussian": Gaussian,
+    "least-squares": LeastSquares,
+    "robust": Robust,
+}

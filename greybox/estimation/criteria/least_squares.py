@@ -30,7 +30,7 @@ class LeastSquares:
     def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
         """Sum over all records. Raises `UnknownNameError`, `ModelError` for weights that do not fit."""
         names = problem.dynamics.innovations.names
-        levels = np.array(problem.state["sensor_level"], dtype=np.float64)
+        levels = problem.sensor_level.copy()
         for n, s in self.sigma.items():
             if n not in names:
                 raise UnknownNameError("innovation", n, names)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from greybox.errors import DataError, UnknownNameError
-from greybox.estimation.covariance import is_coloured
 from greybox.estimation.linear.order import OrderChoice, choose_order
 from greybox.estimation.linear.pem import Settings, Solution, Status
 from greybox.estimation.linear.records import Record, Scaling, prepare
@@ -17,8 +16,10 @@ from greybox.estimation.linear.robust import correlation_window, score_covarianc
 from greybox.estimation.linear.search import Found, Options, find, refine
 from greybox.estimation.linear.uncertainty import Uncertainty, rescaled, uncertainty
 from greybox.estimation.linear.varx import estimate_delays
+from greybox.estimation.options import chosen, says_choices
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import spectral_radius
+from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import FloatArray, Layout, Signal
 
 __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
@@ -94,36 +95,71 @@ class LinearFit:
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
+class LinearChoices(TypedDict, total=False):
+    """The keywords of `fit_linear`: the fields of `LinearSetup`, which says what they mean."""
+
+    dt: float
+    inputs: Sequence[str | Signal] | None
+    outputs: Sequence[str | Signal] | None
+    delays: Sequence[int] | str | None
+    largest: int
+    criterion: str
+    cross_validate: bool
+    center: bool
+    solver: str
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearSetup:
+    """What the columns of the records are, and how order and parameters are found."""
+
+    dt: float = 1.0
+    """Sample time [s]."""
+    inputs: Sequence[str | Signal] | None = None
+    """Names of the input columns; None: u1, u2, ..."""
+    outputs: Sequence[str | Signal] | None = None
+    """Names of the output columns; None: y1, y2, ..."""
+    delays: Sequence[int] | str | None = None
+    """Whole samples per input, or "auto" (see `estimate_delays`)."""
+    largest: int = 10
+    """Largest order that "auto" tries."""
+    criterion: str = "bic"
+    """What "auto" chooses the order by: "aic", "aicc" or "bic"."""
+    cross_validate: bool = False
+    """Whether orders are also compared on left-out records."""
+    center: bool = True
+    """Whether the pooled means are the operating point."""
+    solver: str = "gauss-newton"
+    """"gauss-newton", or "ipopt": slow, a check."""
+    name: str = "linear"
+    """Name of the model."""
+
+
+@says_choices(LinearSetup)
 def fit_linear(
     records: Sequence[Record],
     order: int | str = "auto",
     *,
-    dt: float = 1.0,
-    inputs: Sequence[str | Signal] | None = None,
-    outputs: Sequence[str | Signal] | None = None,
-    delays: Sequence[int] | str | None = None,
     options: Options | None = None,
-    largest: int = 10,
-    criterion: str = "bic",
-    cross_validate: bool = False,
-    center: bool = True,
-    solver: str = "gauss-newton",
-    name: str = "linear",
+    **choices: Unpack[LinearChoices],
 ) -> LinearFit:
     """Identify a linear model in innovation form by subspace start and prediction error polish.
 
     `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see `choose_order`). `delays`
     are whole samples per input, or "auto" (see `estimate_delays`). `dt` in seconds. `center` takes the pooled means as
     the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace start, or from the chosen
-    order: slow, a check. Raises `DataError` (bad records, too short for the order) and `FitError`.
+    order: slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults.
+    Raises `DataError` (bad records, too short for the order), `FitError` and `UnknownNameError` (of a choice, too).
     """
     if not records:
         raise DataError("no records", fix="pass at least one log to train on")
-    options = options or Options()
+    options, setup = options or Options(), chosen("option of a linear fit", LinearSetup(), choices)
+    delays, center, solver = setup.delays, setup.center, setup.solver
     if solver not in SOLVERS:
         raise UnknownNameError("solver", solver, SOLVERS)
     m, p = records[0].u.shape[1], records[0].y.shape[1]
-    layout_u, layout_y = _layout(inputs, m, "u"), _layout(outputs, p, "y")
+    layout_u, layout_y = _layout(setup.inputs, m, "u"), _layout(setup.outputs, p, "y")
     if isinstance(delays, str):
         if delays != "auto":
             raise DataError(f"delays '{delays}'", expected="'auto' or one whole number per input")
@@ -138,10 +174,10 @@ def fit_linear(
             raise DataError(f"order '{order}'", expected="'auto' or a whole number")
         choice = choose_order(
             scaled,
-            largest,
+            setup.largest,
             options,
-            criterion=criterion,
-            cross_validate=cross_validate,
+            criterion=setup.criterion,
+            cross_validate=setup.cross_validate,
             names=layout_y.names,
             input_names=layout_u.names,
         )
@@ -154,7 +190,8 @@ def fit_linear(
         from greybox.estimation.linear.ipopt import minimise_ipopt
 
         found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
-    return _assemble(found, scaled, scaling, options, choice, dt, layout_u, layout_y, tuple(delays or (0,) * m), name)
+    late = tuple(delays or (0,) * m)
+    return _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
 
 
 def _assemble(

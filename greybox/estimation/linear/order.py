@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, trim_mean, wilcoxon
+from scipy.stats import trim_mean, wilcoxon
 
 from greybox.errors import DataError, GreyboxError
 from greybox.estimation.linear.pem import evaluate, start_nuisances
 from greybox.estimation.linear.records import Record
 from greybox.estimation.linear.search import Found, Options, sweep
+from greybox.statistics.whiteness import hosking
 
 CRITERIA = ("aic", "aicc", "bic")
 
@@ -163,31 +164,12 @@ def _row(found: Found, records: Sequence[Record]) -> OrderRow:
     )
 
 
-def portmanteau(innovations: Sequence[np.ndarray], lags: int, fitted: int) -> float:
-    """p-value of the joint portmanteau test (Hosking 1980): innovations (N_i, p) without correlation at lags 1 .. lags.
-
-    `fitted` parameters per channel are taken off the degrees of freedom p^2 lags. `validation.whiteness` has the full
-    test with bands per channel; this number is all that the choice of an order needs. Rows with NaN are left out.
-    """
-    total = np.vstack(innovations)
-    total = total[np.isfinite(total).all(axis=1)]
-    count, p = total.shape
-    if count < 4 * lags * p:
-        return float("nan")
-    mean = total.mean(axis=0)
-    root = np.linalg.inv(np.linalg.cholesky(np.cov(total.T, bias=True).reshape(p, p)))
-    white = [np.nan_to_num((e - mean) @ root.T) for e in innovations]
-    q = 0.0
-    for lag in range(1, lags + 1):
-        c = sum(e[lag:].T @ e[:-lag] for e in white if len(e) > lag) / count
-        q += count**2 * float(np.sum(c * c)) / (count - lag)
-    return float(chi2.sf(q, max(p * p * lags - fitted * p, 1)))
-
-
 def _whiteness(found: Found, records: Sequence[Record]) -> float:
+    """p-value of the joint test over 25 lags; NaN where there are too few samples for it."""
     s = found.solution
     e = [np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(records, s.evaluation.predictions)]
-    return portmanteau(e, 25, min(2 * s.system.order, 20))
+    test = hosking(e, 25, fitted=min(2 * s.system.order, 20) * e[0].shape[1])
+    return float("nan") if test is None else test.p_value
 
 
 def _held_out(rows: Sequence[OrderRow], records: Sequence[Record], options: Options) -> list[OrderRow]:

@@ -10,16 +10,18 @@ System Identification, ch. 5: filter-error method.)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import ClassVar, final
 
 import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Riccati, linearisation_at, stationary
-from greybox.estimation.lost_commands import any_lost, lost_commands
+from greybox.estimation.gain import Linearisation, Riccati, linearisation_at, stationary
+from greybox.estimation.lost_commands import LostCommands, any_lost, lost_commands
+from greybox.estimation.predictor import Predictor, Prepared_co
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
@@ -28,56 +30,32 @@ FORGOTTEN = 1e-100
 the decay would otherwise end in, take ten times as long."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InnovationPrepared:
+    """What the innovation form works out once: the step linearised symbolically, the reference (state (n_x,), command
+    window (n_u, past + 1 + future)) that it is evaluated at, what lost commands push (None where none was lost), and the
+    variances (n_d,) of the very weak pseudo-measurement of every error state."""
+
+    linearisation: Linearisation
+    reference: tuple[FloatArray, FloatArray]
+    lost: LostCommands | None
+    weak: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True)
-class Innovation:
-    """Stationary-gain innovation form. Records of more than `piece` samples come in pieces, as the sensitivities of one
-    hour do not fit into memory."""
+class StationaryGain(Predictor[Prepared_co]):
+    """Innovation form with a gain that does not follow the flight; members say where the gain comes from.
 
-    name: str = "innovation"
-    has_noise: bool = True
-    piece: int = 20_000
+    Records of more than `piece` samples come in pieces, as the sensitivities of one hour do not fit into
+    memory; the numbers are the same.
+    """
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
-        """Linearise once, symbolically; choose the reference state and command."""
-        d = problem.dynamics
-        past, future = d.window
-        u = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
-        weak = np.max([r.x0_sigma for r in problem.records], axis=0) * 100.0
-        x = d.reference(problem.means)
-        elsewhere = d.reference({k: v + 1.0 for k, v in problem.means.items()})
-        return {
-            "linearisation": linearisation_at(d, problem.engine.built, x, elsewhere).select(problem.engine.columns),
-            "reference": (x, np.repeat(u[:, None], past + 1 + future, axis=1)),
-            "lost": lost_commands(d, problem.engine.built, x, elsewhere) if any_lost(problem.records) else None,
-            "weak": weak**2,
-        }
+    has_noise: ClassVar[bool] = True
+    piece: int = field(default=20_000, compare=False)
 
+    @abstractmethod
     def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
-        """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
-        lin: Any = problem.state["linearisation"]
-        reference: Any = problem.state["reference"]
-        x, window = reference
-        weak: Any = problem.state["weak"]
-        lost: Any = problem.state["lost"]
-        p = problem.parameters_of(theta, None)
-        process, sensor = problem.noise_levels(theta)
-        q, r = process**2, sensor**2
-        if not slopes:
-            pushes = None if lost is None else lost.at(x, window, p, problem.dt)
-            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=pushes)
-        values, dvalues = lin(x, window, p, problem.dt)
-        # A per-flight parameter does not move the common gain.
-        shared = np.array([(a, None) in problem._index() for a in problem.engine.active], dtype=float)
-        dvalues = tuple(v * shared[:, None, None] for v in dvalues)
-        pushes = None if lost is None else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
-        na, nw, ne = len(problem.engine.active), q.size, r.size
-        free = [problem.place(n) is not None for n in noise_names(problem)]
-        dq = np.zeros((na + nw + ne, nw))
-        dr = np.zeros((na + nw + ne, ne))
-        dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
-        dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
-        keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
-        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], pushes)
+        """Riccati solution at `theta`, and with `slopes` its derivatives in local columns. Raises `FitError`."""
 
     def tables(
         self, riccati: Riccati, patterns: FloatArray, extra: int
@@ -99,7 +77,7 @@ class Innovation:
         """Innovations of every record, one after the other: what is done with may be forgotten."""
         riccati = self.riccati(problem, theta, jacobian)
         engine = problem.engine
-        free_start = bool(problem.state["estimate_initial"])
+        free_start = problem.estimate_initial
         nd = engine.nd if free_start else 0
         places = [problem.place(n) for n in noise_names(problem)]
         noise_columns = np.array([p for p in places if p is not None], dtype=np.intp)
@@ -147,6 +125,55 @@ class Innovation:
         if jacobian and any(r.n > self.piece for r in problem.records):
             return (block for i in range(count) for block in pieces(i))
         return problem.map_records(lambda i: next(pieces(i)))
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Innovation(StationaryGain[InnovationPrepared]):
+    """Stationary gain from the noise levels, at a reference point."""
+
+    name: str = "innovation"
+
+    def prepare(self, problem: Problem) -> InnovationPrepared:
+        """Linearise once, symbolically; choose the reference state and command."""
+        d = problem.dynamics
+        past, future = d.window
+        u = np.array([problem.means.get(n, 0.0) for n in d.inputs.names])
+        weak = np.max([r.x0_sigma for r in problem.records], axis=0) * 100.0
+        x = d.reference(problem.means)
+        elsewhere = d.reference({k: v + 1.0 for k, v in problem.means.items()})
+        built = problem.engine.built
+        return InnovationPrepared(
+            linearisation=linearisation_at(d, built, x, elsewhere).select(problem.engine.columns),
+            reference=(x, np.repeat(u[:, None], past + 1 + future, axis=1)),
+            lost=lost_commands(d, built, x, elsewhere) if any_lost(problem.records) else None,
+            weak=weak**2,
+        )
+
+    def riccati(self, problem: Problem, theta: FloatArray, slopes: bool) -> Riccati:
+        """Riccati solution at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
+        prepared = problem.prepared(self)
+        lin, weak, lost = prepared.linearisation, prepared.weak, prepared.lost
+        x, window = prepared.reference
+        p = problem.parameters_of(theta, None)
+        process, sensor = problem.noise_levels(theta)
+        q, r = process**2, sensor**2
+        if not slopes:
+            pushes = None if lost is None else lost.at(x, window, p, problem.dt)
+            return stationary(lin.values(x, window, p, problem.dt), q, r, weak, lost=pushes)
+        values, dvalues = lin(x, window, p, problem.dt)
+        # A per-flight parameter does not move the common gain.
+        shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=float)
+        dvalues = tuple(v * shared[:, None, None] for v in dvalues)
+        pushes = None if lost is None else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
+        na, nw, ne = len(problem.engine.active), q.size, r.size
+        free = [problem.place(n) is not None for n in noise_names(problem)]
+        dq = np.zeros((na + nw + ne, nw))
+        dr = np.zeros((na + nw + ne, ne))
+        dq[na + np.arange(nw), np.arange(nw)] = 2 * q  # d sigma^2 / d ln sigma
+        dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
+        keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
+        return stationary(values, q, r, weak, dvalues, dq[keep], dr[keep], pushes)
 
 
 def noise_names(problem: Problem) -> list[str]:

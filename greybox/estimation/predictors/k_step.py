@@ -10,40 +10,52 @@ neighbouring samples overlap, so that they are correlated up to lag k - 1: stand
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
 from greybox.errors import FitError, ModelError
-from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictor import Predictor
+from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class KStep:
+class KStep(Predictor[InnovationPrepared]):
     """k-step-ahead prediction errors; k in samples."""
 
     k: int = 10
     name: str = "k-step"
-    has_noise: bool = False
     filter: Innovation = field(default_factory=Innovation)
 
     def __post_init__(self) -> None:
         if self.k < 1:
             raise ModelError("a prediction horizon must be one sample or more", got=str(self.k))
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    @property
+    def horizons(self) -> tuple[int, ...]:
+        """k alone."""
+        return (self.k,)
+
+    @property
+    def one_step(self) -> Innovation:
+        """The filter that the predictions start from."""
+        return self.filter
+
+    def prepare(self, problem: Problem) -> InnovationPrepared:
         """As the innovation form."""
-        return self.filter.prepare(problem)
+        return problem.prepared(self.filter)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, one row per sample; the criterion weighs them."""
         engine = problem.engine
         riccati = self.filter.riccati(problem, theta, jacobian)
-        nd = engine.nd if problem.state["estimate_initial"] else 0
+        nd = engine.nd if problem.estimate_initial else 0
 
         def work(i: int) -> Block:
             record = problem.records[i]

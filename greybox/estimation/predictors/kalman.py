@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from typing import Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -28,27 +28,29 @@ import numpy as np
 from greybox.errors import FitError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build
 from greybox.estimation.engine import chart_jacobians, symbols
+from greybox.estimation.predictor import Predictor
 from greybox.estimation.problem import Block, Problem
 from greybox.estimation.record import Record
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class Kalman:
+class Kalman(Predictor["Filter"]):
     """Extended Kalman filter with estimated noise levels; `step` is the difference in units of an unknown's scale.
 
     Initial states are no unknowns: their prior starts the filter.
     """
 
     name: str = "kalman"
-    has_noise: bool = True
-    has_initial: bool = False
+    has_noise: ClassVar[bool] = True
+    has_initial: ClassVar[bool] = False
     step: float = 1e-5
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> Filter:
         """Generate and compile the filter of the model."""
-        return {"kalman": filter_for(problem.dynamics, problem.engine.compiled)}
+        return filter_for(problem.dynamics, problem.engine.compiled)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Decorrelated innovations of every record and their variances."""
@@ -70,9 +72,8 @@ class Kalman:
         return problem.map_records(work)
 
     def _pass(self, problem: Problem, theta: FloatArray, record: Record) -> tuple[FloatArray, FloatArray]:
-        ekf: Filter = problem.state["kalman"]  # type: ignore[assignment]
         process, sensor = problem.noise_levels(theta)
-        return ekf.run(record, problem.parameters_of(theta, record.flight), process**2, sensor**2)
+        return problem.prepared(self).run(record, problem.parameters_of(theta, record.flight), process**2, sensor**2)
 
     def _slope(
         self, problem: Problem, theta: FloatArray, record: Record, j: int, e: FloatArray, variance: FloatArray

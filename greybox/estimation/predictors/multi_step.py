@@ -13,41 +13,48 @@ identification strategy for GPC, IEEE TAC 37(7); Farina and Piroddi 2011, Simula
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
 from greybox.errors import FitError, ModelError
-from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.predictor import Predictor
+from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import start_of
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class MultiStep:
+class MultiStep(Predictor[InnovationPrepared]):
     """Errors at `horizons` (samples, 1 = one step) from every `stride`-th sample. Errors overlap: use sandwich errors."""
 
     horizons: tuple[int, ...] = (1, 2, 5, 10, 20, 30, 50)
     stride: int = 15
     name: str = "multi-step"
-    has_noise: bool = False
     filter: Innovation = field(default_factory=Innovation)
 
     def __post_init__(self) -> None:
         if not self.horizons or min(self.horizons) < 1 or self.stride < 1:
             raise ModelError("horizons and stride must be one sample or more", got=f"{self.horizons}, {self.stride}")
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    @property
+    def one_step(self) -> Innovation:
+        """The filter that the predictions start from."""
+        return self.filter
+
+    def prepare(self, problem: Problem) -> InnovationPrepared:
         """As the innovation form."""
-        return self.filter.prepare(problem)
+        return problem.prepared(self.filter)
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Errors of every record, windows in order of time and horizons inside each window."""
         engine = problem.engine
         riccati = self.filter.riccati(problem, theta, jacobian)
-        nd = engine.nd if problem.state["estimate_initial"] else 0
+        nd = engine.nd if problem.estimate_initial else 0
         chosen = np.array(sorted(set(self.horizons))) - 1
 
         def work(i: int) -> Block:

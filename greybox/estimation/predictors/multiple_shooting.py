@@ -17,9 +17,9 @@ the data set into short flights and fit `Simulation`: that is another estimator,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import final
 
 import casadi as ca
 import numpy as np
@@ -27,18 +27,27 @@ import numpy as np
 from greybox.errors import FitError, ModelError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.engine import GainTable
-from greybox.estimation.gain import Linearisation, stationary
-from greybox.estimation.predictors.innovation import Innovation
+from greybox.estimation.gain import stationary
+from greybox.estimation.predictor import Predictor
+from greybox.estimation.predictors.innovation import Innovation, InnovationPrepared
 from greybox.estimation.predictors.simulation import Simulation, start_of
 from greybox.estimation.problem import Block, IndexArray, Problem
+from greybox.estimation.solver import Progress
 from greybox.estimation.solvers.levenberg_marquardt import damped_step
 from greybox.symbolic import CASADI, FloatArray
 
-Progress = Callable[[int, float, float], None]
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShootingPrepared:
+    """The chart's `difference` (CasADi: states a, b -> boxminus(a, b)) and what the `filter` of the start states needs."""
+
+    difference: ca.Function
+    filter: InnovationPrepared
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class MultipleShooting:
+class MultipleShooting(Predictor[ShootingPrepared]):
     """Simulation with windows of `window_s` seconds on the way; `approach` closes the gaps from any start."""
 
     window_s: float = 0.5
@@ -46,19 +55,18 @@ class MultipleShooting:
     halvings: int = 3
     gap_tolerance: float = 1e-3
     name: str = "multiple-shooting"
-    has_noise: bool = False
     simulation: Simulation = field(default_factory=Simulation)
 
     def __post_init__(self) -> None:
         if not self.window_s > 0:
             raise ModelError("the window of multiple shooting must be positive", got=f"{self.window_s:g} s")
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> ShootingPrepared:
         """The chart's difference and what the filter of the start states needs."""
         n = len(problem.dynamics.states)
         a, b = ca.SX.sym("a", n), ca.SX.sym("b", n)
         difference = ca.Function("difference", [a, b], [problem.dynamics.boxminus(a, b)])
-        return {"difference": difference, **Innovation().prepare(problem)}
+        return ShootingPrepared(difference=difference, filter=problem.prepared(Innovation()))
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Simulation errors of every record: those of the unbroken path."""
@@ -86,9 +94,10 @@ class MultipleShooting:
         """Iterate with windows of this length. Raises `FitError` where the gaps do not close."""
         lower, upper = problem.lower, problem.upper
         theta = np.clip(start, lower, upper)
-        path = _path(problem, theta, window_s)
+        prepared = problem.prepared(self)
+        path = _path(problem, prepared.filter, theta, window_s)
         for iteration in range(1, self.max_iterations + 1):
-            parts = [_part(problem, theta, i, w) for i, w in enumerate(path)]
+            parts = [_part(problem, prepared.difference, theta, i, w) for i, w in enumerate(path)]
             value = Gaussian().evaluate(problem, [p.block for p in parts], 1, None)
             cost, slope, curvature = _prior(problem, theta)
             assert value.gradient is not None and value.hessian is not None
@@ -130,13 +139,12 @@ class _Part:
     gaps: FloatArray  # c_k / sigma, (m - 1, n_d)
 
 
-def _path(problem: Problem, theta: FloatArray, window_s: float) -> list[_Windows]:
+def _path(problem: Problem, prepared: InnovationPrepared, theta: FloatArray, window_s: float) -> list[_Windows]:
     """Start states along every record from a stationary filter with lively process noise."""
-    lin: Linearisation = problem.state["linearisation"]  # type: ignore[assignment]
-    reference: Any = problem.state["reference"]
     process, sensor = problem.noise_levels(theta)
-    values = lin.values(reference[0], reference[1], problem.parameters_of(theta, None), problem.dt)
-    riccati = stationary(values, (10.0 * process) ** 2, sensor**2, problem.state["weak"])  # type: ignore[arg-type]
+    p = problem.parameters_of(theta, None)
+    values = prepared.linearisation.values(*prepared.reference, p, problem.dt)
+    riccati = stationary(values, (10.0 * process) ** 2, sensor**2, prepared.weak)
     out = []
     for i, record in enumerate(problem.records):
         size = max(2, round(window_s / record.dt))
@@ -157,7 +165,7 @@ def _path(problem: Problem, theta: FloatArray, window_s: float) -> list[_Windows
     return out
 
 
-def _part(problem: Problem, theta: FloatArray, i: int, windows: _Windows) -> _Part:
+def _part(problem: Problem, difference: ca.Function, theta: FloatArray, i: int, windows: _Windows) -> _Part:
     record, engine = problem.records[i], problem.engine
     x0, s0, columns = start_of(problem, theta, i)
     m, nd, na = windows.rows.size, engine.nd, len(engine.active)
@@ -171,11 +179,10 @@ def _part(problem: Problem, theta: FloatArray, i: int, windows: _Windows) -> _Pa
     if run.failed_in is not None:
         raise FitError(f"window {run.failed_in} of flight {record.flight} is not finite")
     assert run.sensitivity is not None and run.end_sensitivity is not None
-    difference = problem.state["difference"]
     gaps = np.zeros((m - 1, nd))
     if m > 1:
         with CASADI:
-            gaps = np.asarray(difference(run.ends[:-1].T, windows.starts[1:].T).full()).T  # type: ignore[operator]
+            gaps = np.asarray(difference(run.ends[:-1].T, windows.starts[1:].T).full()).T
     shift, slope = np.zeros((m, nd)), np.zeros((m, nd, s0.shape[1]))
     slope[0] = s0
     for k in range(m - 1):

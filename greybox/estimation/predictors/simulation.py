@@ -8,27 +8,28 @@ All misfit is sensor noise; the criterion estimates its level. (Ljung 1999, Syst
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.engine import GainTable
+from greybox.estimation.predictor import Predictor
 from greybox.estimation.problem import Block, Problem
 from greybox.symbolic import FloatArray
 
 
+@final
 @dataclass(frozen=True, kw_only=True)
-class Simulation:
+class Simulation(Predictor[None]):
     """Output error over whole records, each from its own initial state."""
 
     name: str = "simulation"
-    has_noise: bool = False
 
-    def prepare(self, problem: Problem) -> Mapping[str, object]:
+    def prepare(self, problem: Problem) -> None:
         """Nothing to prepare."""
-        return {}
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Simulation errors of every record; the criterion weighs them."""
@@ -62,7 +63,7 @@ def start_of(
     record, engine = problem.records[record_index], problem.engine
     columns = problem.local_columns(record.flight)
     na = columns.size
-    if not problem.state["estimate_initial"]:
+    if not problem.estimate_initial:
         return record.x0, np.zeros((engine.nd, na)), columns
     own = problem.initial_columns(record_index)
     moved, slope = engine.moved(record.x0, theta[own])

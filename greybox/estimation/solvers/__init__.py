@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
+from greybox.estimation.solver import Solver
 from greybox.estimation.solvers.gauss_newton import GaussNewton
 from greybox.estimation.solvers.ipopt import Ipopt
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.solvers.scipy_trf import ScipyTrf
 
-SOLVERS: Mapping[str, Any] = {
+SOLVERS: Mapping[str, Callable[..., Solver]] = {
     "levenberg-marquardt": LevenbergMarquardt,
     "gauss-newton": GaussNewton,
     "scipy-trf": ScipyTrf,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.estimation.problem import Value
+from greybox.estimation.solver import Value
 from greybox.symbolic import FloatArray
 
 

@@ -7,12 +7,11 @@ there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimation.problem import Problem
+from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import FALL, damped_step, is_level, moved_by
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
@@ -20,8 +19,6 @@ from greybox.symbolic import FloatArray
 SUFFICIENT = 0.1
 """Share of the decrease that the slope promises which a step must bring: one that overshoots to the other side of the valley
 brings next to nothing, and the next one back."""
-
-Progress = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +30,7 @@ class GaussNewton:
     max_iterations: int = 60
     max_halvings: int = 20
 
-    def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
+    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)

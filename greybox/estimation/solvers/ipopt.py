@@ -7,19 +7,16 @@ differences of the exact gradient, 2 n evaluations each: slow, for checking and 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.problem import Problem, Value
+from greybox.estimation.solver import Objective, Progress, Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
-
-Progress = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +28,7 @@ class Ipopt:
     tolerance: float = 1e-6
     max_iterations: int = 200
 
-    def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
+    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
@@ -89,7 +86,7 @@ def _code(status: str, decrement: float, tolerance: float) -> tuple[Code, str]:
 class _Memory:
     """Evaluations at scaled unknowns; the last point is remembered, because IPOPT asks for its parts one by one."""
 
-    problem: Problem
+    problem: Objective
     scale: FloatArray
     tolerance: float
     progress: Progress | None

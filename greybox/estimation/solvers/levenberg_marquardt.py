@@ -7,13 +7,13 @@ Gauss-Newton Hessian leaves out is learned on the way (`greybox.estimation.solve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 
-from greybox.estimation.problem import Problem, Value
+from greybox.estimation.solver import Objective, Progress, Value
 from greybox.estimation.solvers.curvature import Curvature
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import BoolArray, FloatArray
@@ -34,8 +34,6 @@ FALL = -0.375
 PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
-Progress = Callable[[int, float, float], None]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardt:
@@ -54,7 +52,7 @@ class LevenbergMarquardt:
     damped: bool = True
     target: float = np.inf
 
-    def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
+    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
@@ -153,7 +151,7 @@ def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) ->
 
 
 def stepped_back(
-    problem: Problem, x: FloatArray, gradient: FloatArray, new: FloatArray, there: Value
+    problem: Objective, x: FloatArray, gradient: FloatArray, new: FloatArray, there: Value
 ) -> tuple[FloatArray, Value, int]:  # fmt: skip
     """(point, its value, evaluations): on the way from x (n,), where the cost has this gradient (n,), to `new`, which has
     the value `there`, the point at which the slope vanishes by the secant, if that is better; `new` where the step did not
@@ -167,7 +165,7 @@ def stepped_back(
     return (back, nearer, 1) if nearer.valid and nearer.cost < there.cost else (new, there, 1)
 
 
-def is_level(problem: Problem) -> BoolArray:
+def is_level(problem: Objective) -> BoolArray:
     """Which unknowns (n,) are logarithms of noise levels."""
     return np.array([u.kind == "noise" for u in problem.unknowns], dtype=bool)
 

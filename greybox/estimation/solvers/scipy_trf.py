@@ -11,19 +11,16 @@ real. (Branch, Coleman and Li 1999, SIAM J. Sci. Comput. 21(1), for the method a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from greybox.estimation.problem import Problem, Value
+from greybox.estimation.solver import Objective, Progress, Value
 from greybox.estimation.solvers.levenberg_marquardt import newton_decrement
 from greybox.estimation.status import Code, Interrupted, Status
 from greybox.symbolic import FloatArray
-
-Progress = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +31,7 @@ class ScipyTrf:
     tolerance: float = 1e-6
     max_iterations: int = 200
 
-    def solve(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
+    def solve(self, problem: Objective, start: FloatArray, progress: Progress | None = None) -> tuple[FloatArray, Status]:
         """Minimise from `start`; the best point and a status. Raises `Interrupted`, which holds both."""
         lower, upper = problem.lower, problem.upper
         x = np.clip(start, lower, upper)
@@ -99,7 +96,7 @@ class _RaiseOffset(Exception):
 class _Residuals:
     """Residuals and Jacobian in scaled unknowns; remembers the last point, which scipy asks for twice."""
 
-    problem: Problem
+    problem: Objective
     scale: FloatArray
     tolerance: float
     progress: Progress | None
@@ -148,7 +145,7 @@ class _Residuals:
         return np.vstack([root.T, np.zeros((1, z.size))])
 
 
-def _scale(value: Value, problem: Problem) -> FloatArray:
+def _scale(value: Value, problem: Objective) -> FloatArray:
     """Standard errors of single unknowns: the scaled Hessian has a unit diagonal."""
     assert value.hessian is not None
     diagonal = np.diag(value.hessian)

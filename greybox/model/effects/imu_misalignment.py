@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.frames import quat_exp, rotation_matrix
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_parameters
 from greybox.model.parameter import Parameter
+from greybox.model.sensors import on_clock
 from greybox.symbolic import Expr
 
 
@@ -22,7 +23,7 @@ class ImuMisalignment(Effect):
     formula = "v_imu = Exp(theta)^T v_body"
     references = ("Woodman 2007, An introduction to inertial navigation, Cambridge UCAM-CL-TR-696, sec. 3-4",)
     validity = "angles up to a few tenths of a radian"
-    needs = Needs(sensors=("gyro", "accelerometer"))
+    needs = Needs(sensors=on_clock("imu"))
     order = 20
     case = ReferenceCase(
         parameters={"theta_x": 0.0, "theta_y": 0.0, "theta_z": 1.5707963267948966},
@@ -40,4 +41,4 @@ class ImuMisalignment(Effect):
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """The same turn for both sensors."""
         turn = rotation_matrix(quat_exp(ca.vertcat(p["theta_x"], p["theta_y"], p["theta_z"]))).T
-        return {name: turn @ value for name, value in flow.measured.items() if name in ("gyro", "accelerometer")}
+        return {name: turn @ value for name, value in flow.measured.items() if name in on_clock("imu")}

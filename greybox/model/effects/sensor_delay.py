@@ -7,6 +7,7 @@ from typing import Any
 
 from greybox.model.effect import Effect, Flow, Needs, ReferenceCase
 from greybox.model.parameter import Parameter
+from greybox.model.sensors import on_clock
 from greybox.symbolic import Expr
 
 
@@ -28,7 +29,7 @@ class SensorDelay(Effect):
     formula = "y_imu(t) = h_imu(x(t - d)), y_pose(t) = h_pose(x(t)), u(t)"
     references = ("Li and Mourikis 2014, Online temporal calibration for camera-IMU systems, IJRR 33(7)",)
     validity = "delays over which rotor speed runs nearly straight: a few tens of milliseconds"
-    needs = Needs(sensors=("gyro", "accelerometer"), other_sensors=("position", "attitude", "velocity"))
+    needs = Needs(sensors=on_clock("imu"), other_sensors=("position", "attitude", "velocity"))
     order = 50
     early = frozenset({"imu_delay"})
     case = ReferenceCase(

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from greybox.frames import GRAVITY
 from greybox.model.effects import effect_by_name
 from greybox.model.plausibility.craft import Craft
 from greybox.model.plausibility.finding import Implausible, Severity
+from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
 
 HUGE = 1e9
@@ -30,7 +32,7 @@ INERTIA_UNITS = {
     1e-4: "kg cm^2",
     1e-3: "g m^2",
 }
-FORCE_UNITS = {9.80665e-3: "gram-force instead of newton", 9.80665: "kilogram-force instead of newton"}
+FORCE_UNITS = {1e-3 * GRAVITY: "gram-force instead of newton", GRAVITY: "kilogram-force instead of newton"}
 
 
 def _slip(value: float, low: float, high: float, units: dict[float, str]) -> str | None:
@@ -464,14 +466,7 @@ def sigmas(c: Craft) -> Iterator[Implausible]:
 
 def noise(c: Craft) -> Iterator[Implausible]:
     """Sensor noise of another unit."""
-    limits = {
-        "gyro": (0.5, "rad/s, not deg/s"),
-        "accelerometer": (10.0, "m/s^2"),
-        "attitude": (0.2, "rad, not degrees"),
-        "position": (1.0, "m, not mm"),
-        "velocity": (2.0, "m/s, not mm/s"),
-        "voltage": (1.0, "V, not mV"),
-    }
+    limits = {s.name: (s.noisiest, s.noisiest_hint) for s in SENSORS} | {"voltage": (1.0, "V, not mV")}
     for key, level in c.vehicle.noise.items():
         top, unit = limits.get(key, (math.inf, ""))
         if level > top:

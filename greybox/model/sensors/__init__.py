@@ -10,4 +10,19 @@ from greybox.model.sensors.position import Position
 from greybox.model.sensors.rotor_speed import RotorSpeed
 from greybox.model.sensors.velocity import Velocity
 
-SENSORS: tuple[Sensor, ...] = (Position(), Velocity(), Attitude(), Gyro(), Accelerometer(), RotorSpeed())
+SENSORS: tuple[Sensor, ...] = (
+    Position(),
+    Velocity(),
+    Attitude(),
+    Gyro(),
+    Accelerometer(),
+    RotorSpeed(),
+)
+
+USUAL: tuple[Sensor, ...] = tuple(s for s in SENSORS if s.usual)
+"""Those that a model has which nobody gave any."""
+
+
+def on_clock(clock: str) -> tuple[str, ...]:
+    """Names of the catalogue's sensors that show the instant of a clock (`greybox.model.clock`)."""
+    return tuple(s.name for s in SENSORS if s.clock == clock)

@@ -6,7 +6,7 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.model.effect import Flow
+from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor, axes
 from greybox.symbolic import Expr, Signal
 
@@ -20,6 +20,11 @@ class Accelerometer(Sensor):
     name = "accelerometer"
     group = "specific_force"
     summary = "specific force at the IMU"
+    noisiest = 10.0
+    noisiest_hint = "m/s^2"
+    mistaken_for = ("force",)
+    colour_time = 0.05
+    witnesses = frozenset({"velocity", "position"})
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """ax, ay, az."""
@@ -29,8 +34,16 @@ class Accelerometer(Sensor):
         """ax, ay, az."""
         return self.signals(vehicle)
 
+    def typical_noise(self, vehicle: Any) -> float:
+        """[m/s^2]."""
+        return 0.1
+
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """Specific force with lever arm."""
         r = ca.DM(list(flow.vehicle.imu_position)) - flow.center_of_mass
         omega = flow.omega
-        return specific_force + ca.cross(flow.angular_acceleration, r) + ca.cross(omega, ca.cross(omega, r))
+        return (
+            specific_force
+            + ca.cross(flow.angular_acceleration, r)
+            + ca.cross(omega, ca.cross(omega, r))
+        )

@@ -5,19 +5,26 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from greybox.frames import quat_conjugate, quat_multiply
-from greybox.model.effect import Flow
-from greybox.model.sensor import Sensor, axes
-from greybox.symbolic import Expr, Signal
+from greybox.model.flow import Flow
+from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.symbolic import Expr, FloatArray, Signal
 
 
 class Attitude(Sensor):
-    """qw, qx, qy, qz [-]. The innovation is delta_theta [rad] in body axes, q = q_hat * exp(delta_theta / 2)."""
+    """qw, qx, qy, qz [-]. The innovation is delta_theta [rad] in body axes, q = q_hat *
+    exp(delta_theta / 2)."""
 
     name = "attitude"
     group = "rotation"
     summary = "attitude quaternion"
+    clock = "pose"
+    noisiest = 0.2
+    noisiest_hint = "rad, not degrees"
+    shows = "attitude"
+    colour_time = 0.2
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """qw, qx, qy, qz."""
@@ -27,11 +34,25 @@ class Attitude(Sensor):
         """attitude.x, attitude.y, attitude.z."""
         return axes("attitude.", "xyz", "rad", "attitude innovation, body axes")
 
+    def typical_noise(self, vehicle: Any) -> float:
+        """[rad]."""
+        return 0.003
+
+    def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
+        """The first attitude."""
+        row = first_complete(readings)
+        return (
+            ()
+            if row is None
+            else (Start(block="attitude", value=row / np.linalg.norm(row), spread=(0.02,) * 3),)
+        )
+
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """The attitude itself."""
         return flow.quaternion
 
     def innovation(self, y: Expr, y_hat: Expr, rotation: Expr) -> Expr:
-        """Rotation vector by the vector part, 2 sign(w) v: exact to third order and without a singularity at pi."""
+        """Rotation vector by the vector part, 2 sign(w) v: exact to third order and without a
+        singularity at pi."""
         d = quat_multiply(quat_conjugate(y_hat), y)
         return ca.if_else(d[0] < 0, -2.0, 2.0) * d[1:4]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from greybox.model.effect import Flow
-from greybox.model.sensor import Sensor, axes
-from greybox.symbolic import Expr, Signal
+from greybox.model.flow import Flow
+from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.symbolic import Expr, FloatArray, Signal
 
 
 class Gyro(Sensor):
@@ -15,6 +15,12 @@ class Gyro(Sensor):
     name = "gyro"
     group = "rate"
     summary = "body rate omega"
+    noisiest = 0.5
+    noisiest_hint = "rad/s, not deg/s"
+    shows = "rate"
+    mistaken_for = ("torque",)
+    colour_time = 0.05
+    witnesses = frozenset({"attitude"})
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """p, q, r."""
@@ -23,6 +29,15 @@ class Gyro(Sensor):
     def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """p, q, r."""
         return self.signals(vehicle)
+
+    def typical_noise(self, vehicle: Any) -> float:
+        """[rad/s]."""
+        return 0.02
+
+    def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
+        """The first body rate."""
+        row = first_complete(readings)
+        return () if row is None else (Start(block="rate", value=row, spread=(0.2,) * 3),)
 
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """Omega."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from greybox.model.effect import Flow
+from greybox.model.flow import Flow
 from greybox.model.sensor import Sensor
 from greybox.symbolic import Expr, Signal
 
@@ -15,16 +15,23 @@ class RotorSpeed(Sensor):
     name = "rotor_speed"
     group = "rotor_speed"
     summary = "speed of every rotor"
+    clock = "now"
+    usual = False
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """omega1 .. omegan."""
         return tuple(
-            Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed") for i in range(len(vehicle.rotors))
+            Signal(name=f"omega{i + 1}", unit="rad/s", meaning="rotor speed")
+            for i in range(len(vehicle.rotors))
         )
 
     def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """omega1 .. omegan."""
         return self.signals(vehicle)
+
+    def typical_noise(self, vehicle: Any) -> float:
+        """A hundredth of the largest speed [rad/s]."""
+        return 0.01 * float(vehicle.omega_scale)
 
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """Omega."""

@@ -6,9 +6,9 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.model.effect import Flow
-from greybox.model.sensor import Sensor, axes
-from greybox.symbolic import Expr, Signal
+from greybox.model.flow import Flow
+from greybox.model.sensor import Sensor, Start, axes, first_complete
+from greybox.symbolic import Expr, FloatArray, Signal
 
 
 class Velocity(Sensor):
@@ -17,6 +17,11 @@ class Velocity(Sensor):
     name = "velocity"
     group = "velocity"
     summary = "velocity of the body origin"
+    clock = "pose"
+    noisiest = 2.0
+    noisiest_hint = "m/s, not mm/s"
+    shows = "velocity"
+    colour_time = 0.2
 
     def signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """vx, vy, vz."""
@@ -25,6 +30,15 @@ class Velocity(Sensor):
     def innovation_signals(self, vehicle: Any) -> tuple[Signal, ...]:
         """velocity.x, velocity.y, velocity.z."""
         return axes("velocity.", "xyz", "m/s", "velocity innovation, body axes")
+
+    def typical_noise(self, vehicle: Any) -> float:
+        """[m/s]."""
+        return 0.02
+
+    def starts(self, readings: FloatArray, t: FloatArray) -> tuple[Start, ...]:
+        """The first velocity."""
+        row = first_complete(readings)
+        return () if row is None else (Start(block="velocity", value=row, spread=(0.1,) * 3),)
 
     def reading(self, flow: Flow, specific_force: Expr) -> Expr:
         """v - R (omega x c), c the centre of mass from the body origin."""

@@ -1,4 +1,5 @@
-"""The tail of the chi-square distribution where its probability is smaller than the smallest number."""
+"""The tail of the chi-square distribution where its probability is smaller than the smallest
+number."""
 
 from __future__ import annotations
 
@@ -14,10 +15,11 @@ FAR = -600.0
 
 
 def log_tail(statistic: npt.ArrayLike, dof: int) -> FloatArray:
-    """ln P(chi-square > statistic), finite for every finite statistic (n,); scipy's logsf ends near 1500 for one degree.
+    """ln P(chi-square > statistic), finite for every finite statistic (n,); scipy's logsf ends near
+    1500 for one degree.
 
-    ln Q(a, z) = (a - 1) ln z - z - ln Gamma(a) + ln sum_k (a - 1) ... (a - k) / z^k with a = dof / 2 and
-    z = statistic / 2 (Abramowitz and Stegun 1964, 6.5.32).
+    ln Q(a, z) = (a - 1) ln z - z - ln Gamma(a) + ln sum_k (a - 1) ... (a - k) / z^k with a = dof /
+    2 and z = statistic / 2 (Abramowitz and Stegun 1964, 6.5.32).
     """
     x = np.atleast_1d(np.asarray(statistic, dtype=np.float64))
     out = np.asarray(scipy.stats.chi2.logsf(x, dof), dtype=np.float64)

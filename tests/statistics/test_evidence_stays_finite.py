@@ -9,7 +9,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greybox.chi_square import log_tail
+from greybox.statistics.chi_square import log_tail
 
 
 @given(st.floats(0.0, 1e8))

@@ -1,0 +1,70 @@
+"""DiscoverOptions: all choices of a search in one frozen record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, TypedDict, Unpack
+
+from greybox.estimation.options import FitOptions, chosen
+from greybox.model.effect import Effect
+
+
+class DiscoverChoices(TypedDict, total=False):
+    """The keywords of `discover`: the fields of `DiscoverOptions`, which says what they mean."""
+
+    own: Iterable[Effect]
+    alpha: float
+    max_effects: int
+    adapt: float | None
+    kinematic_noise: bool
+    per_flight: Iterable[str]
+    fixed: Iterable[str]
+    hold_sensor_noise: bool
+    attainable: bool
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscoverOptions:
+    """All choices of a search."""
+
+    own: tuple[Effect, ...] = ()
+    """Effects besides the catalogue."""
+    alpha: float = 0.05
+    """Family-wise level of a name: the probability of a false one on flights that miss nothing."""
+    max_effects: int = 8
+    """Additions after which the search stops."""
+    adapt: float | None = None
+    """Seconds at the beginning of a test flight that its per-flight parameters are fitted on."""
+    kinematic_noise: bool = False
+    """Noise between attitude and gyro (clocks that drift)."""
+    per_flight: tuple[str, ...] = ()
+    """Parameters with one value per flight."""
+    fixed: tuple[str, ...] = ()
+    """Parameters that stay at the vehicle file's value."""
+    hold_sensor_noise: bool = False
+    """Whether the sensors' noise levels stay at those of the vehicle file."""
+    attainable: bool = False
+    """Whether a Gaussian process learns what the bare model misses (extra `gp`), for comparison."""
+    seed: int = 0
+    """Seed of bootstraps and random halves."""
+
+    def __post_init__(self) -> None:
+        for name in ("own", "per_flight", "fixed"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+
+    @classmethod
+    def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        return chosen("option of a search", options or cls(), choices)
+
+    def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:
+        """These options with other `choices`. Raises `UnknownNameError`."""
+        return DiscoverOptions.of(self, choices)
+
+    @property
+    def of_every_fit(self) -> FitOptions:
+        """What every fit of the search has in common."""
+        held: Literal["process"] | bool = "process" if self.hold_sensor_noise else True
+        return FitOptions(per_flight=self.per_flight, estimate_noise=held)

@@ -1,0 +1,222 @@
+"""FitOptions: all choices of a fit in one frozen record, which is handed on whole.
+
+    options = FitOptions(predictor="kalman", fixed=("mass",))
+    fit(model, data, options)
+    fit(model, data, predictor="kalman", fixed=["mass"])  # the same
+    options.but(seed=1).command_line()
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack
+
+from greybox.errors import UnknownNameError
+from greybox.estimation.criterion import Criterion
+from greybox.estimation.predictor import Predictor
+from greybox.estimation.solver import Solver
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., object])
+Options = TypeVar("Options", bound="DataclassInstance")
+
+_FLAGS = {
+    "predictor": "--predictor", "criterion": "--criterion", "solver": "--solver",
+    "initialisation": "--init", "disturbance": "--disturbance", "free": "--free",
+    "fixed": "--fixed", "per_flight": "--per-flight", "shared": "--shared", "values": "--value",
+    "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
+}
+
+
+class FitChoices(TypedDict, total=False):
+    """The keywords of `fit` and `make_problem`: the fields of `FitOptions`, which says what they mean."""
+
+    predictor: str | Predictor[object]
+    criterion: str | Criterion
+    solver: str | Solver
+    initialisation: str
+    disturbance: Iterable[str]
+    free: Iterable[str] | None
+    fixed: Iterable[str]
+    per_flight: Iterable[str]
+    shared: Iterable[str]
+    values: Mapping[str, float] | None
+    priors: Mapping[str, tuple[float, float]] | None
+    flight_priors: Mapping[str, tuple[float, float]] | None
+    noise: Mapping[str, float] | None
+    estimate_noise: bool | Literal["process"]
+    estimate_initial: bool
+    seed: int
+    starts: int
+    build: Iterable[str] | None
+    use_compiler: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """All choices of a fit. Options are equal where all choices are; they hold copies of what was given."""
+
+    predictor: str | Predictor[object] = "innovation"
+    """Name in `PREDICTORS`, or the object: turns unknowns into residuals."""
+    criterion: str | Criterion = "gaussian"
+    """Name in `CRITERIA`, or the object: turns residuals into a cost."""
+    solver: str | Solver = "levenberg-marquardt"
+    """Name in `SOLVERS`, or the object: minimises the cost."""
+    initialisation: str = "equation-error"
+    """Where the solver starts: "nominal", "noise" (noise levels from the data), "equation-error",
+    "multistart" or "innovation" (a maximum likelihood fit in innovation form first)."""
+    disturbance: tuple[str, ...] = ()
+    """Process-noise groups ("force", "torque") that also get a slowly varying disturbance state."""
+    free: tuple[str, ...] | None = None
+    """Exactly these parameters are free, less `fixed`; None: those with a prior (sigma > 0)."""
+    fixed: tuple[str, ...] = ()
+    """Parameters that are held at their value."""
+    per_flight: tuple[str, ...] = ()
+    """Parameters with one value per flight, besides those whose declared scope is flight."""
+    shared: tuple[str, ...] = ()
+    """Parameters with one value for all flights, whatever their declared scope."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Start values, and the values of fixed parameters, in SI units."""
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Parameter -> (mean, sigma), in place of the declared prior."""
+    flight_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """The same for every per-flight copy."""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    """Noise levels to start from (where they are held: to keep), in SI units, of one component
+    ("noise.sensor.p") or a group ("noise.sensor.position"); the longer name wins."""
+    estimate_noise: bool | Literal["process"] = True
+    """Whether noise levels are unknowns; "process" holds those of the sensors."""
+    estimate_initial: bool = True
+    """Whether initial states are unknowns."""
+    seed: int = 0
+    """Seed of random starts."""
+    starts: int = 8
+    """Random starts of "multistart"."""
+    build: tuple[str, ...] | None = None
+    """Parameters that sensitivities are built for, at least the free ones; None: these. Fits of many
+    subsets share one build."""
+    use_compiler: bool = True
+    """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
+
+    def __post_init__(self) -> None:
+        for name in ("disturbance", "free", "fixed", "per_flight", "shared", "build"):
+            given: Iterable[str] | None = getattr(self, name)
+            object.__setattr__(self, name, None if given is None else tuple(given))
+        for name in ("values", "priors", "flight_priors", "noise"):
+            object.__setattr__(self, name, dict(getattr(self, name) or {}))
+
+    @classmethod
+    def of(cls, options: FitOptions | None, choices: FitChoices) -> FitOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own.
+
+        Raises `UnknownNameError` with the nearest names for a choice that there is not.
+        """
+        return chosen("option of a fit", options or cls(), choices)
+
+    def but(self, **choices: Unpack[FitChoices]) -> FitOptions:
+        """These options with other `choices`. Raises `UnknownNameError`."""
+        return FitOptions.of(self, choices)
+
+    def chosen_predictor(self) -> Predictor[object]:
+        """The predictor itself. Raises `UnknownNameError`."""
+        from greybox.estimation.predictors import PREDICTORS
+
+        return member("predictor", PREDICTORS, self.predictor)
+
+    def chosen_criterion(self) -> Criterion:
+        """The criterion itself. Raises `UnknownNameError`."""
+        from greybox.estimation.criteria import CRITERIA
+
+        return member("criterion", CRITERIA, self.criterion)
+
+    def chosen_solver(self) -> Solver:
+        """The solver itself. Raises `UnknownNameError`."""
+        from greybox.estimation.solvers import SOLVERS
+
+        return member("solver", SOLVERS, self.solver)
+
+    def to_dict(self) -> dict[str, object]:
+        """The choices that differ from the defaults as plain values, objects by their names."""
+        plain: dict[str, object] = {}
+        for name, value in vars(self).items():
+            if value == _DEFAULTS[name]:
+                continue
+            if name in ("predictor", "criterion", "solver"):
+                plain[name] = value if isinstance(value, str) else value.name
+            elif isinstance(value, tuple):
+                plain[name] = list(value)
+            elif isinstance(value, Mapping):
+                plain[name] = {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()}
+            else:
+                plain[name] = value
+        return plain
+
+    def command_line(self) -> list[str]:
+        """Flags of `greybox fit` for the choices that differ from the defaults.
+
+        What the command has no flag for is left out: priors, starts, build, use_compiler,
+        estimate_initial, and the settings of a predictor, criterion or solver that was given as an object.
+        """
+        flags: list[str] = []
+        for name, value in self.to_dict().items():
+            if name not in _FLAGS:
+                continue
+            if name == "estimate_noise":
+                text = "sensor" if value == "process" else "all"
+            elif isinstance(value, list):
+                text = ",".join(value)
+            elif isinstance(value, dict):
+                text = ",".join(f"{k.removeprefix('noise.')}={v!r}" for k, v in value.items())
+            else:
+                text = str(value)
+            flags += [_FLAGS[name], text]
+        return flags
+
+
+_DEFAULTS: Mapping[str, object] = vars(FitOptions())
+
+
+def chosen(kind: str, options: Options, choices: Mapping[str, object]) -> Options:
+    """A frozen record of options with some `choices` in place of its own.
+
+    `kind` is what one of them is called. Raises `UnknownNameError` with the nearest names for a choice
+    that is no field.
+    """
+    known = [f.name for f in fields(options)]
+    for name in choices:
+        if name not in known:
+            raise UnknownNameError(kind, name, known)
+    return replace(options, **choices)
+
+
+def says_choices(record: type[DataclassInstance]) -> Callable[[F], F]:
+    """Decorator of a function that takes **choices: its signature, as `help` shows it, lists the fields of `record`."""
+
+    def decorate(function: F) -> F:
+        signature = inspect.signature(function)
+        own = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        defaults = record()
+        own += [
+            inspect.Parameter(
+                f.name, inspect.Parameter.KEYWORD_ONLY, default=vars(defaults)[f.name], annotation=f.type
+            )
+            for f in fields(record)
+        ]
+        setattr(function, "__signature__", signature.replace(parameters=own))  # noqa: B010  # functions do not declare it
+        return function
+
+    return decorate
+
+
+def member(kind: str, catalogue: Mapping[str, Callable[..., T]], choice: str | T) -> T:
+    """A member by name, or the object itself. Raises `UnknownNameError` with the nearest names."""
+    if not isinstance(choice, str):
+        return choice
+    if choice not in catalogue:
+        raise UnknownNameError(kind, choice, catalogue)
+    return catalogue[choice]()

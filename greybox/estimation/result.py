@@ -1,0 +1,280 @@
+"""Fit: what a fit found, as estimates, diagnostics and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import UnknownNameError
+from greybox.estimation.covariance import Covariance
+from greybox.estimation.identifiability import Combination
+from greybox.estimation.problem import Problem
+from greybox.estimation.status import Status
+from greybox.files import write_json
+from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
+from greybox.symbolic import FloatArray
+
+SCHEMA = "greybox.fit/1"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there).
+
+    `prior_influence` is the share of the precision that the priors (of all parameters together) brought: 0 = the data
+    alone, 1 = the data say nothing. Of a per-flight parameter, `value` is the mean over flights and `std` the standard
+    error of that mean (at least what the spread between flights says).
+    """
+
+    name: str
+    value: float
+    std: float
+    std_fisher: float
+    unit: str
+    scope: str
+    prior: tuple[float, float] | None
+    prior_influence: float
+    at_bound: bool
+    per_flight: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in fit.json."""
+        return {
+            "value": self.value, "std": self.std, "std_fisher": self.std_fisher, "unit": self.unit, "scope": self.scope,
+            "prior": None if self.prior is None else {"value": self.prior[0], "sigma": self.prior[1]},
+            "prior_influence": self.prior_influence, "at_bound": self.at_bound,
+            "per_flight": {k: {"value": v, "std": s} for k, (v, s) in self.per_flight.items()},
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimates:
+    """The numbers that a fit is made for.
+
+    `derived` and `noise` map names to (value, std) and (level, std, unit); `correlations` (m, m) are
+    those of the shared parameters `correlation_names`; `theta` (n,) are all unknowns of the problem.
+    """
+
+    model: IdentifiedModel
+    parameters: Mapping[str, Estimate]
+    derived: Mapping[str, tuple[float, float]]
+    noise: Mapping[str, tuple[float, float, str]]
+    correlation_names: tuple[str, ...]
+    correlations: FloatArray
+    theta: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnostics:
+    """What says how far the estimates can be trusted.
+
+    `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
+    (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the whiteness
+    test, in which case `std` of the estimates is the sandwich one.
+    """
+
+    status: Status
+    cost: float
+    loglik: float
+    unidentifiable: tuple[Combination, ...]
+    innovations: Mapping[str, list[FloatArray]]
+    coloured: bool
+    covariance: Covariance
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Provenance:
+    """What the fit was made of: `flights` and `settings` as in fit.json, `n_parameters` with noise levels."""
+
+    problem: Problem
+    flights: tuple[Mapping[str, Any], ...]
+    settings: Mapping[str, Any]
+    data_hash: str
+    n_samples: int
+    n_parameters: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """What a fit found. Holds no raw data; what the three records hold is there as attributes, too."""
+
+    estimates: Estimates
+    diagnostics: Diagnostics
+    provenance: Provenance
+
+    @property
+    def model(self) -> IdentifiedModel:
+        """The identified model."""
+        return self.estimates.model
+
+    @property
+    def parameters(self) -> Mapping[str, Estimate]:
+        """Estimates of the model parameters by name."""
+        return self.estimates.parameters
+
+    @property
+    def derived(self) -> Mapping[str, tuple[float, float]]:
+        """Derived parameter -> (value, std)."""
+        return self.estimates.derived
+
+    @property
+    def noise(self) -> Mapping[str, tuple[float, float, str]]:
+        """Estimated noise level -> (level, std, unit)."""
+        return self.estimates.noise
+
+    @property
+    def correlation_names(self) -> tuple[str, ...]:
+        """The shared parameters, in the order of `correlations`."""
+        return self.estimates.correlation_names
+
+    @property
+    def correlations(self) -> FloatArray:
+        """Correlation matrix (m, m) of the shared parameters."""
+        return self.estimates.correlations
+
+    @property
+    def theta(self) -> FloatArray:
+        """All unknowns of the problem (n,)."""
+        return self.estimates.theta
+
+    @property
+    def status(self) -> Status:
+        """How the solver ended."""
+        return self.diagnostics.status
+
+    @property
+    def cost(self) -> float:
+        """Negative log posterior."""
+        return self.diagnostics.cost
+
+    @property
+    def loglik(self) -> float:
+        """Log likelihood without priors."""
+        return self.diagnostics.loglik
+
+    @property
+    def unidentifiable(self) -> tuple[Combination, ...]:
+        """Combinations of parameters that the data do not tell."""
+        return self.diagnostics.unidentifiable
+
+    @property
+    def innovations(self) -> Mapping[str, list[FloatArray]]:
+        """Flight -> innovations (n, n_e) of its records, NaN where missing."""
+        return self.diagnostics.innovations
+
+    @property
+    def coloured(self) -> bool:
+        """Whether the innovations fail the whiteness test."""
+        return self.diagnostics.coloured
+
+    @property
+    def covariance(self) -> Covariance:
+        """Covariance of all unknowns."""
+        return self.diagnostics.covariance
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know, in words."""
+        return self.diagnostics.warnings
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that was solved."""
+        return self.provenance.problem
+
+    @property
+    def flights(self) -> tuple[Mapping[str, Any], ...]:
+        """The flights that were fitted, as in fit.json."""
+        return self.provenance.flights
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Choices of the fit, as in fit.json."""
+        return self.provenance.settings
+
+    @property
+    def data_hash(self) -> str:
+        """Hash of the data."""
+        return self.provenance.data_hash
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return self.provenance.n_samples
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters and noise levels that were fitted."""
+        return self.provenance.n_parameters
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self.status.converged
+
+    def __getitem__(self, name: str) -> Estimate:
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise UnknownNameError("estimated parameter", name, self.parameters) from None
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion, -2 log L + 2 k (Akaike 1974)."""
+        return -2 * self.loglik + 2 * self.n_parameters
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' information criterion, -2 log L + k ln N, N the number of samples (Schwarz 1978)."""
+        return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of fit.json (schema "greybox.fit/1")."""
+        d = self.model.dynamics
+        physics = physics_of(d)
+        return {
+            "schema": SCHEMA,
+            "model": {
+                "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
+                "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
+                "omega_known": physics is None or physics.omega_known,
+            },
+            "settings": dict(self.settings),
+            "status": self.status.to_dict(),
+            "cost": {
+                "negative_log_posterior": self.cost, "loglik": self.loglik, "n_samples": self.n_samples,
+                "n_parameters": self.n_parameters, "aic": self.aic, "bic": self.bic,
+            },
+            "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
+            "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
+            "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
+            "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
+            "correlations": {"names": list(self.correlation_names), "matrix": self.correlations.tolist()},
+            "unidentifiable": [c.text for c in self.unidentifiable],
+            "flights": [dict(f) for f in self.flights],
+            "warnings": list(self.warnings),
+            "data_hash": self.data_hash,
+            "versions": library_versions(),
+        }  # fmt: skip
+
+    def save(self, folder: str) -> None:
+        """Write fit.json and model.json into a folder, each atomically."""
+        write_json(f"{folder}/fit.json", self.to_dict())
+        self.model.save(f"{folder}/model.json")
+
+    def summary(self) -> str:
+        """The estimates as text, status first."""
+        lines = [self.status.advice]
+        width = max((len(n) for n in self.parameters), default=4)
+        for n, e in self.parameters.items():
+            error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
+            extra = f"  (prior decides {100 * e.prior_influence:.0f} %)" if e.prior_influence > 0.2 else ""
+            scope = "  per flight" if e.scope == "flight" else ""
+            lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
+        lines += [f"not identified: {c.text}" for c in self.unidentifiable]
+        lines += [f"warning: {w}" for w in self.warnings]
+        return "\n".join(lines)

@@ -1,0 +1,26 @@
+"""Unknown: one scalar of the search space of a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unknown:
+    """One scalar of the search space. `name` is the parameter's; `flight` is set for a per-flight copy.
+
+    `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
+    logarithm), `mean` and `sigma` those of its Gaussian prior (sigma infinite: no prior), `scale` is
+    its typical size.
+    """
+
+    name: str
+    kind: str  # "parameter", "noise" or "initial"
+    flight: str | None
+    start: float
+    lower: float
+    upper: float
+    mean: float
+    sigma: float
+    scale: float
+    unit: str

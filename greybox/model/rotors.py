@@ -1,0 +1,116 @@
+"""Rotors: from commands to normalised speeds nu, with a lag where an effect brings one.
+
+u -> command stage -> rotor stage -> goal nu_ss;   d nu / dt = (nu_ss - nu) / tau,  nu = nu_ss
+without a lag
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from greybox.model.flow import Flow
+from greybox.model.staged_effects import StagedEffects
+from greybox.symbolic import Expr
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotors:
+    """The rotors of a model. `measured`: the inputs are rotor speeds [rad/s] instead of
+    commands."""
+
+    staged: StagedEffects
+    measured: bool
+
+    @property
+    def count(self) -> int:
+        """Number of rotors."""
+        return len(self.staged.vehicle.rotors)
+
+    @cached_property
+    def have_lag(self) -> bool:
+        """Whether rotors follow their goal with a lag: their speeds are then states."""
+        return self.staged.has("lag")
+
+    def goal(self, u: Expr, values: Mapping[str, Expr]) -> Expr:
+        """nu_ss that the inputs u ask for: command chain, then the product of the rotor stage's
+        factors."""
+        staged, vbat, command = self.staged, self.staged.voltage(u), u[: self.count]
+        if self.measured:
+            return command / staged.vehicle.actuator.speed_max
+        for e in staged.of("command"):
+            flow = Flow(vehicle=staged.vehicle, command=command, vbat=vbat)
+            command = e.apply(flow, staged.own(e, values)).get("command", command)
+        nu = command
+        for e in staged.of("rotor"):
+            flow = Flow(vehicle=staged.vehicle, command=command, vbat=vbat)
+            nu = nu * e.apply(flow, staged.own(e, values)).get("steady_factor", 1.0)
+        return nu
+
+    def lag(self, values: Mapping[str, Expr]) -> Expr:
+        """Time constant; it may be zero (divide by `positive` of it)."""
+        return self.staged.early("lag", values)
+
+    def lag_over(self, gap: Expr, values: Mapping[str, Expr]) -> Expr:
+        """Time constant of rotors that are faster than their goal by `gap` (n): of each its own
+        where slowing down takes another time than speeding up."""
+        tau = self.lag(values) if self.have_lag else 0.0
+        if not self.staged.has("lag_asymmetry"):
+            return tau
+        return tau * (1 + self.staged.early("lag_asymmetry", values) * ca.sign(gap))
+
+    def rate(self, nu: Expr, goal: Expr, values: Mapping[str, Expr]) -> Expr:
+        """d nu / dt [1/s] on the way to `goal`; 0 without a lag."""
+        return (
+            (goal - nu) / positive(self.lag_over(nu - goal, values)) if self.have_lag else goal * 0
+        )
+
+
+def positive(tau: Expr) -> Expr:
+    """A time constant to divide by: at least one microsecond, so that tau = 0 is the instantaneous
+    rotor."""
+    return ca.fmax(tau, 1e-6)
+
+
+def path_means(z: Expr) -> tuple[Expr, Expr]:
+    """What is left of a difference that decays as exp(-t / tau), over 0 .. z tau: in the mean,
+    which moves a velocity, and in the mean weighted by the time that remains, which moves a
+    position: (1 - e^-z) / z and 2 (z - 1 + e^-z) / z^2."""
+    small = ca.fabs(z) < 0.05
+    y = ca.if_else(small, 1.0, z)
+    mean, early = (1 - ca.exp(-y)) / y, 2 * (y - 1 + ca.exp(-y)) / y**2
+    mean = ca.if_else(small, 1 - z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5))), mean)
+    return mean, ca.if_else(small, 1 - z / 3 * (1 - z / 4 * (1 - z / 5 * (1 - z / 6))), early)
+
+
+def rotor_path(
+    nu: Expr, first: Expr, second: Expr, switch: Expr, dt: Expr, lag: Callable[[Expr], Expr]
+) -> tuple[tuple[Expr, Expr, Expr], Expr]:
+    """((nu at 0, dt/2 and dt for Runge-Kutta), nu at the end) of a first-order lag whose goal
+    changes at `switch`; `lag` gives the time constant of rotors that are faster than their goal by
+    so much, which stays until they reach it.
+
+    The end is exact. The integrator gets the straight line that has the mean and the first moment
+    of the exact path over the step, so that impulse and displacement are right however short tau is
+    against dt and wherever the goal changes; a sampled exponential would give a rotor that has long
+    settled a sixth of its old speed. In the moments tau stands before every exponential, so that
+    tau = 0 is the rotor without lag to the last digit and the slope there is the true one, -(goal -
+    nu)/dt in the mean.
+    """
+    before, after = switch / dt, 1 - switch / dt
+    start_a, tau_a = nu - first, lag(nu - first)
+    left_a = ca.exp(-switch / positive(tau_a))
+    start_b = first - second + start_a * left_a
+    tau_b = lag(start_b)
+    left_b = ca.exp(-(dt - switch) / positive(tau_b))
+    # Moments over [0, length] of exp(-xi / short), xi the time in units of dt.
+    short_a, short_b = tau_a / dt, tau_b / dt
+    area_a, area_b = short_a * (1 - left_a), short_b * (1 - left_b)
+    arm_a, arm_b = short_a * (area_a - before * left_a), short_b * (area_b - after * left_b)
+    mean = before * first + after * second + start_a * area_a + start_b * area_b
+    moment = 0.5 * before * after * (second - first)  # about the middle of the step
+    moment = moment + start_a * (arm_a - 0.5 * area_a) + start_b * (arm_b + (before - 0.5) * area_b)
+    return (mean - 6 * moment, mean, mean + 6 * moment), second + start_b * left_b

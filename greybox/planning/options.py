@@ -1,0 +1,74 @@
+"""PlanOptions: all choices of a plan in one frozen record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypedDict, Unpack
+
+from greybox.estimation.options import chosen
+from greybox.model.effect import Effect
+from greybox.planning.limits import Limits
+
+
+class PlanChoices(TypedDict, total=False):
+    """The keywords of `plan`: the fields of `PlanOptions`, which says what they mean."""
+
+    effects: Iterable[str | Effect]
+    seconds: float
+    piece: float
+    flights: int
+    limits: Limits | None
+    free: Iterable[str] | None
+    values: Mapping[str, float] | None
+    noise: Mapping[str, float] | None
+    sensors: Iterable[str] | None
+    sample_time: float | None
+    setpoints_only: bool
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """All choices of a plan."""
+
+    effects: tuple[str | Effect, ...] = ()
+    """Effects whose parameters are wanted; none: all that are free."""
+    seconds: float = 60.0
+    """Length of all flights together [s]."""
+    piece: float = 5.0
+    """Length of one manoeuvre [s]."""
+    flights: int = 1
+    """Number of flights that the manoeuvres are split over."""
+    limits: Limits | None = None
+    """What may not be left; None: a box of 4 x 4 x 2.5 m, 3 m/s, 35 degrees, the command range less 2 %."""
+    free: tuple[str, ...] | None = None
+    """Exactly these parameters are estimated; None: as in a fit."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Parameter values that are taken for true, in SI units."""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    """Noise levels by name, in SI units, as in a fit."""
+    sensors: tuple[str, ...] | None = None
+    """Sensors of the craft; None: those of the model, or position, attitude, gyro and accelerometer."""
+    sample_time: float | None = None
+    """Sample time [s]; None: that of the model."""
+    setpoints_only: bool = False
+    """Leave out manoeuvres that need injected signals."""
+    seed: int = 0
+    """Seed of random manoeuvres."""
+
+    def __post_init__(self) -> None:
+        for name in ("effects", "free", "sensors"):
+            given: Iterable[str | Effect] | None = getattr(self, name)
+            object.__setattr__(self, name, None if given is None else tuple(given))
+        for name in ("values", "noise"):
+            object.__setattr__(self, name, dict(getattr(self, name) or {}))
+
+    @classmethod
+    def of(cls, options: PlanOptions | None, choices: PlanChoices) -> PlanOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        return chosen("option of a plan", options or cls(), choices)
+
+    def but(self, **choices: Unpack[PlanChoices]) -> PlanOptions:
+        """These options with other `choices`. Raises `UnknownNameError`."""
+        return PlanOptions.of(self, choices)

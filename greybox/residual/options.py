@@ -1,0 +1,95 @@
+"""GPOptions: all choices of the training of a Gaussian process in one frozen record."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypedDict, Unpack
+
+from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.options import chosen
+from greybox.residual.kernels import split_name
+from greybox.residual.posterior import METHODS
+
+NOISE = ("white", "per-group", "auto")
+PRIOR_MEANS = ("zero", "constant")
+
+
+class GPChoices(TypedDict, total=False):
+    """The keywords of `train_gp`: the fields of `GPOptions`, which says what they mean."""
+
+    kernel: str
+    method: str
+    points: int | str
+    seed: int
+    restarts: int
+    noise: str
+    noise_inflation: str | float
+    share_kernel: bool
+    prior_mean: str
+    subset: int
+    hold_out: float
+    polish: bool
+    guard: bool
+    epochs: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPOptions:
+    """All choices of a training. Raises `UnknownNameError` and `ModelError` for what there is not."""
+
+    kernel: str = "se"
+    """"se" (ARD), "matern32", "matern52", or "linear+" one of these."""
+    method: str = "sgpr"
+    """"sgpr" (all data projected on the support points), "svgp" (the same start, then `epochs` of
+    mini-batches) or "exact" (every sample a support point)."""
+    points: int | str = 100
+    """Number of support points, or "auto": the smallest whose held-out NLPD is as good as the best."""
+    seed: int = 0
+    """Seed of subsets, restarts and held-out samples."""
+    restarts: int = 2
+    """Starts of the marginal likelihood."""
+    noise: str = "white"
+    """"white", "per-group", or "auto" (per group where the BIC says so)."""
+    noise_inflation: str | float = "auto"
+    """"auto" (integrated autocorrelation time of the standardised errors within groups), or a factor."""
+    share_kernel: bool = False
+    """One kernel for all outputs, which is cheaper to evaluate."""
+    prior_mean: str = "zero"
+    """"zero" (what is far from the data is left to the physics) or "constant" (the training mean)."""
+    subset: int = 400
+    """Samples of the exact likelihood."""
+    hold_out: float = 0.25
+    """Share of the samples, in whole groups, that judges whether the GP beats a constant; 0: no judgement."""
+    polish: bool = False
+    """Gradient polish of support points and hyper-parameters."""
+    guard: bool = True
+    """Raise a sparse variance to the full GP's (`sparse.variance_guard`)."""
+    epochs: int = 5
+    """Passes over the data of "svgp"."""
+
+    def __post_init__(self) -> None:
+        split_name(self.kernel)
+        for kind, value, known in (
+            ("GP method", self.method, METHODS),
+            ("noise model", self.noise, NOISE),
+            ("prior mean", self.prior_mean, PRIOR_MEANS),
+        ):
+            if value not in known:
+                raise UnknownNameError(kind, value, known)
+        points, factor = self.points, self.noise_inflation
+        if points != "auto" and (isinstance(points, str) or points < 1):
+            raise ModelError(
+                "the number of support points", expected='a positive number or "auto"', got=repr(points)
+            )
+        if factor != "auto" and (isinstance(factor, str) or not 1.0 <= factor < math.inf):
+            raise ModelError("noise_inflation", expected='"auto" or a factor of at least 1', got=repr(factor))
+
+    @classmethod
+    def of(cls, options: GPOptions | None, choices: GPChoices) -> GPOptions:
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        return chosen("option of a Gaussian process", options or cls(), choices)
+
+    def but(self, **choices: Unpack[GPChoices]) -> GPOptions:
+        """These options with other `choices`. Raises `UnknownNameError`."""
+        return GPOptions.of(self, choices)

@@ -1,0 +1,1 @@
+"""Statistics of arrays, without flights, models or fits: whiteness, chi-square, evidence."""
