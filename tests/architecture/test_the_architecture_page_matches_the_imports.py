@@ -8,7 +8,7 @@ from collections import defaultdict
 from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
-SCENARIOS = ("plants", "excitation", "courses", "flights")
+SCENARIOS = ("plants", "excitation", "courses", "flights", "foreign")
 
 
 def package_of(module: str) -> str | None:
