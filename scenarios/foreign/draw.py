@@ -32,7 +32,9 @@ from scenarios.plants.realistic_sensors import Realism, realistic
 
 SIMULATORS = ("plants", "rotorpy", "mujoco", "drone_models")
 HIDDEN = ("delay", "center_of_mass", "uneven_rotors", "battery", "wind")
-"""What can be hidden besides lag, drag and gusts."""
+"""What can be hidden in every simulator besides lag, drag and gusts."""
+ROTOR_LAW = "rotor_law"
+"""Hidden in drone_models only: rotors that follow their commands by the law fitted to a Crazyflie."""
 SMALLEST, LARGEST = 0.025, 3.0
 """Mass [kg]."""
 GRAVITY = 9.81
@@ -48,7 +50,7 @@ class Draw:
     """A craft as drawn: who flies it, what is true, how it is measured, and what its owner
     believes.
 
-    realism: None means ideal sensors (white noise). fitted: whose rotors a drone-models craft has.
+    realism: None means ideal sensors (white noise). fitted: whose rotors a drone-models craft with `rotor_law` has.
     rotor_speeds: whether the logs have them.
     """
 
@@ -67,15 +69,19 @@ class Draw:
 def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) -> Draw:
     """The craft of this seed; `simulator` overrules who flies it and leaves the rest as it was.
 
-    Raises ValueError for a name that is not in SIMULATORS or HIDDEN.
+    Raises ValueError for a name that is not in SIMULATORS or HIDDEN, and for `rotor_law` in another
+    simulator than drone_models.
     """
-    for names, known in (((simulator,) if simulator else (), SIMULATORS), (hidden, HIDDEN)):
+    choices = ((simulator,) if simulator else (), SIMULATORS), (hidden, (*HIDDEN, ROTOR_LAW))
+    for names, known in choices:
         unknown = sorted(set(names) - set(known))
         if unknown:
             raise ValueError(f"no such choice: {', '.join(unknown)}; there are {', '.join(known)}")
     random = np.random.default_rng([seed, 100])
     drawn = str(random.choice(SIMULATORS))
     chosen = simulator or drawn
+    if ROTOR_LAW in hidden and chosen != "drone_models":
+        raise ValueError(f"only drone_models can hide {ROTOR_LAW}; seed {seed} flies in {chosen}")
     gusts, real, rotor_speeds = random.random() < 0.5, random.random() < 0.5, random.random() < 0.25
     frame = draw_airframe(np.random.default_rng([seed, 101]), curved=chosen == "drone_models")
     mass = float(frame.mass)
@@ -118,7 +124,7 @@ def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) ->
         gusts=gusts,
         sensors=sensors,
         realism=realism if real else None,
-        fitted=fitted if chosen == "drone_models" else None,
+        fitted=fitted if ROTOR_LAW in hidden else None,
         rotor_speeds=rotor_speeds,
         knowledge=Knowledge.of(frame, random),
         hidden=tuple(hidden),
@@ -326,12 +332,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--simulator", choices=SIMULATORS, help="overrules the draw of the simulator"
     )
     parser.add_argument(
-        "--hidden", nargs="*", choices=HIDDEN, default=[], help="what else the file does not say"
+        "--hidden",
+        nargs="*",
+        choices=(*HIDDEN, ROTOR_LAW),
+        default=[],
+        help="what else the file does not say",
     )
     arguments = parser.parse_args(argv)
-    drawn = draw(arguments.seed, arguments.simulator, arguments.hidden)
     try:
+        drawn = draw(arguments.seed, arguments.simulator, arguments.hidden)
         write(drawn, arguments.out)
+    except ValueError as error:
+        parser.error(str(error))
     except MissingSimulator as error:
         print(f"error: {error}; or choose another --simulator: plants needs nothing")
         return 2

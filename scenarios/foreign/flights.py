@@ -19,7 +19,7 @@ CENTER = (0.0, 0.0, 1.5)
 RATE_TIMES_LAG = 0.6
 """Rate gain times the loop's lag; 0.5 is the damping ratio 1/sqrt(2) of an ideal rotor, more is
 quicker and rougher."""
-SHARE_OF_AUTHORITY = 0.12
+SHARE_OF_AUTHORITY = 0.16
 """RMS of the roll and pitch excitation as a share of the angular acceleration that rotors give
 between hover and stop."""
 SHARE_OF_YAW_AUTHORITY = 0.15

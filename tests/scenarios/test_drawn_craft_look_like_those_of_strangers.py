@@ -54,6 +54,13 @@ def test_the_simulator_can_be_chosen_and_leaves_the_craft_as_it_was():
         draw(5, "gazebo")
 
 
+def test_a_fitted_rotor_law_is_hidden_only_when_asked_for_and_only_where_there_is_one():
+    assert draw(5, "drone_models").fitted is None
+    assert draw(5, "drone_models", ("rotor_law",)).fitted is not None
+    with pytest.raises(ValueError, match="only drone_models can hide rotor_law"):
+        draw(5, "mujoco", ("rotor_law",))
+
+
 def test_what_is_hidden_changes_only_itself():
     plain, delayed = draw(9, "plants"), draw(9, "plants", ("delay",))
     assert delayed.craft.delay > 0.0
