@@ -34,7 +34,7 @@ SIMULATORS = ("plants", "rotorpy", "mujoco", "drone_models")
 HIDDEN = ("delay", "center_of_mass", "uneven_rotors", "battery", "wind")
 """What can be hidden in every simulator besides lag, drag and gusts."""
 ROTOR_LAW = "rotor_law"
-"""Hidden in drone_models only: rotors that follow their commands by the law fitted to a Crazyflie."""
+"""Hidden in drone_models only: rotors that follow commands by the law fitted to a Crazyflie."""
 SMALLEST, LARGEST = 0.025, 3.0
 """Mass [kg]."""
 GRAVITY = 9.81
@@ -50,7 +50,8 @@ class Draw:
     """A craft as drawn: who flies it, what is true, how it is measured, and what its owner
     believes.
 
-    realism: None means ideal sensors (white noise). fitted: whose rotors a drone-models craft with `rotor_law` has.
+    realism: None means ideal sensors (white noise). fitted: whose rotors a drone-models craft with
+    `rotor_law` has.
     rotor_speeds: whether the logs have them.
     """
 
@@ -149,8 +150,6 @@ def draw_airframe(random: np.random.Generator, *, curved: bool = False) -> Airfr
     zz = (xx + yy) * random.uniform(0.75, 0.95)
     strongest = mass * GRAVITY / 4.0 * random.uniform(1.8, 3.2)
     ratio = radius * random.uniform(0.16, 0.28)
-    bend = random.uniform(-0.12, -0.03) if curved else 0.0
-    thrust = (0.0, bend * strongest, (1.0 - bend) * strongest)
     stretch = random.uniform(1.0, 1.3)
     if random.random() < 0.2:
         rotors = plus_layout(arm)
@@ -159,6 +158,9 @@ def draw_airframe(random: np.random.Generator, *, curved: bool = False) -> Airfr
         rotors = x_layout(float(half / stretch**0.5), float(half * stretch**0.5))
     height = 0.1 * arm * random.uniform(0.0, 1.0)
     rotors = tuple(replace(r, position=(r.position[0], r.position[1], height)) for r in rotors)
+    # last, so that a craft of another simulator keeps everything else
+    bend = random.uniform(-0.12, -0.03) if curved else 0.0
+    thrust = (0.0, bend * strongest, (1.0 - bend) * strongest)
     return Airframe(
         name=f"quadrotor of {1000.0 * mass:.0f} g",
         mass=mass,

@@ -50,6 +50,9 @@ def test_nominal_numbers_are_wrong_by_as_much_as_is_said(drawn):
 def test_the_simulator_can_be_chosen_and_leaves_the_craft_as_it_was():
     ours, theirs = draw(5, "rotorpy"), draw(5, "mujoco")
     assert ours.craft == theirs.craft and ours.knowledge == theirs.knowledge
+    curved, straight = draw(5, "drone_models").craft.airframe, ours.craft.airframe
+    assert curved.thrust != straight.thrust
+    assert replace(curved, thrust=straight.thrust, torque=straight.torque) == straight
     with pytest.raises(ValueError, match="no such choice: gazebo"):
         draw(5, "gazebo")
 
