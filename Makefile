@@ -18,7 +18,9 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-comp
 EXTRAS := $(shell $(PYTHON) -c 'import sys; print("test,dev,logs" + (",gp" if sys.version_info < (3, 12) else ""))')
 # CONSUMERS=1 also installs do-mpc, rockit and FMPy, with which exports are tried; without them those tests are skipped.
 CONSUMERS ?=
-override EXTRAS := $(EXTRAS)$(if $(CONSUMERS),$(COMMA)consumers)
+# JUDGE=1 also installs RotorPy, MuJoCo and drone-models, which fly craft that greybox is judged on (scenarios/foreign).
+JUDGE ?=
+override EXTRAS := $(EXTRAS)$(if $(CONSUMERS),$(COMMA)consumers)$(if $(JUDGE),$(COMMA)judge)
 JOBS ?= 2
 
 # Small matrices: one BLAS thread is faster than many, and the results do not depend on the machine.

@@ -33,7 +33,7 @@ FILTER = 0.004
 
 def _imu_filters(nest: Nest) -> tuple[LowPass, ...]:
     """Filters of gyro and accelerometer that the model could have; none where it has them already."""
-    if any(p.filters for p in sensor_parts(nest.candidates.model)):
+    if any(isinstance(p, LowPass) for p in sensor_parts(nest.candidates.model)):
         return ()
     sensors = nest.candidates.physics.sensor_names
     return tuple(LowPass(sensor=s, time=FILTER) for s in ("gyro", "accelerometer") if s in sensors)

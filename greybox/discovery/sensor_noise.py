@@ -69,8 +69,9 @@ def with_parts(nest: Nest, parts: Iterable[SensorPart]) -> Nest:
     every fit, those of noise stay at the start values of its part."""
     chosen = tuple(parts)
     offered: Candidates = nest.candidates
-    filters = tuple(f"{p.name}.T" for p in chosen if p.filters)
-    core = (*(n for n in offered.core if not n.startswith("low_pass.")), *filters)
+    filters = tuple(f"{p.name}.{q}" for p in chosen if p.filters for q in p.quantities)
+    before = {f"{p.name}.{q}" for p in sensor_parts(offered.model) for q in p.quantities}
+    core = (*(n for n in offered.core if n not in before), *filters)
     every, physics = (*chosen, *disturbances(offered.model)), offered.physics
     model = Augmented(core=physics, parts=every) if every else physics
     return replace(nest, candidates=replace(offered, model=model, core=core))

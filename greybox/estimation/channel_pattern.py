@@ -37,4 +37,4 @@ def pattern_of(mask: FloatArray) -> Pattern:
         usual = np.asarray(2 * phases.sum(axis=0) > len(phases))
         if (phases == usual).all(axis=2).mean() >= REPEATS and (usual.any() or not there.any()):
             return Pattern(there=usual)
-    return Pattern(there=there.any(axis=0, keepdims=True))
+    return Pattern(there=np.atleast_2d(there.any(axis=0)))

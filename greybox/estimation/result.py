@@ -305,6 +305,8 @@ class Fit:
     def summary(self) -> str:
         """The estimates as text: the verdict first, then how the solver ended."""
         lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
+        if self.verdict is None and not self.converged:  # nothing vouches for these numbers: the failure comes first
+            lines.reverse()
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"

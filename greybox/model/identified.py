@@ -108,8 +108,7 @@ class IdentifiedModel:
 
     @cached_property
     def physics(self) -> PhysicsModel:
-        """The innermost model of a vehicle. Raises `ModelError` for a model of another kind (see
-        `core`)."""
+        """The innermost model of a vehicle. Raises `ModelError` for another kind (see `core`)."""
         physics = physics_of(self.dynamics)
         if physics is None:
             raise ModelError(
@@ -121,8 +120,7 @@ class IdentifiedModel:
 
     @property
     def channel_groups(self) -> tuple[str, ...]:
-        """Channel group of every innovation component; its own name where the model has no
-        sensors."""
+        """Channel group of every innovation component (its own name without sensors)."""
         physics = physics_of(self.dynamics)
         return self.dynamics.innovations.names if physics is None else physics.channel_groups
 
@@ -132,8 +130,7 @@ class IdentifiedModel:
         return np.array([values[d.name] for d in self.dynamics.parameters])
 
     def flight_vector(self, flight: str) -> FloatArray:
-        """p for a training flight (its own per-flight values), or the mean over flights for any
-        other."""
+        """p for a training flight (its own values), or the mean over flights for any other."""
         return self.parameter_vector(self.per_flight.get(flight))
 
     def with_values(self, changes: Mapping[str, float]) -> IdentifiedModel:
@@ -141,8 +138,7 @@ class IdentifiedModel:
         return replace(self, values=self.values.replace(changes), verdict=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values of the model file. Raises `ModelError` for a model that is not made of
-        catalogue parts."""
+        """Plain values of the model file. Raises `ModelError` for other than catalogue parts."""
         augmented = self.dynamics if isinstance(self.dynamics, Augmented) else None
         physics = self.dynamics if augmented is None else augmented.core
         parts = () if augmented is None else augmented.parts
@@ -221,8 +217,7 @@ class IdentifiedModel:
         effects: Iterable[Effect] = (),
         sensors: Iterable[Sensor] = (),
     ) -> IdentifiedModel:
-        """Read a model file; `effects` and `sensors` are those of it that are not in the catalogues
-        (`load_effects`).
+        """Read a model file; `effects`, `sensors`: those not in the catalogues (`load_effects`).
 
         Raises `FileFormatError` (schema, checksum, sizes, an effect that is not given),
         `VehicleError`, `UnknownNameError`.

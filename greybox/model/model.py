@@ -16,8 +16,7 @@ Invariant extended Kalman filter: theory and application, CDC).
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -27,19 +26,19 @@ import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import (
-    quat_derivative,
     quat_difference,
     quat_exp,
     quat_multiply,
     quat_normalize,
     rotation_matrix,
 )
-from greybox.model.clock import CLOCKS
 from greybox.model.command_window import CommandWindow
+from greybox.model.composition import check_effects, check_sensors
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import SLOTS, Effect
 from greybox.model.effects import effect_by_name
-from greybox.model.flow import Flow, Remembered
+from greybox.model.felt import Felt
+from greybox.model.flow import Remembered
 from greybox.model.parameter import Parameter
 from greybox.model.rigid_body import PUSHES, RigidBody
 from greybox.model.rotors import Rotors, rotor_path
@@ -47,38 +46,9 @@ from greybox.model.sensor import Sensor, first_complete
 from greybox.model.sensor_clocks import OWN, Instant, Passage, SensorClocks
 from greybox.model.sensors import SENSORS, USUAL
 from greybox.model.staged_effects import StagedEffects
+from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
-
-REMEMBERING = ("thrust", "wrench")
-"""Stages whose effects may have states of their own."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Block:
-    """A state block of the rigid body: letters and unit of its components, and where a flight
-    starts where no sensor says more: at `rest`, with the standard deviation `spread` per error
-    component (always three)."""
-
-    letters: str
-    unit: str
-    rest: tuple[float, ...]
-    spread: float
-
-    @property
-    def size(self) -> int:
-        """Number of components of the state; its error has three."""
-        return len(self.letters)
-
-
-BLOCKS: Mapping[str, Block] = {
-    "position": Block(letters="xyz", unit="m", rest=(0.0, 0.0, 0.0), spread=10.0),
-    "velocity": Block(letters="xyz", unit="m/s", rest=(0.0, 0.0, 0.0), spread=1.0),
-    "attitude": Block(letters="wxyz", unit="-", rest=(1.0, 0.0, 0.0, 0.0), spread=0.3),
-    "rate": Block(letters="xyz", unit="rad/s", rest=(0.0, 0.0, 0.0), spread=1.0),
-}
-"""State blocks by name, in the order of the state. What effects and sensors remember follows, and
-rotor states where there is a lag."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,84 +71,18 @@ class PhysicsModel:
     kinematic_noise: bool = False
 
     def __post_init__(self) -> None:
-        names = [e.name for e in self.effects]
-        double = sorted({n for n in names if names.count(n) > 1})
-        if double:
-            raise ModelError(f"effect given twice: {', '.join(double)}")
         if not self.sensors:
             raise ModelError(
                 "no sensor: the log has no complete group of measured columns",
                 fix="log the gyro: p, q, r",
             )
-        if self.input == "speed":
-            if self.vehicle.actuator.speed_max is None:
-                raise ModelError(
-                    "--input speed needs actuator.speed_max in the vehicle file",
-                    fix="add speed_max",
-                )
-            for e in self.effects:
-                if e.stage in ("command", "rotor"):
-                    raise ModelError(
-                        f"effect {e.name} shapes the command, which --input speed does not use"
-                    )
-        for e in self.effects:
-            if missing := e.missing(self.vehicle, self.sensor_names):
-                raise ModelError(
-                    f"effect {e.name} needs {', '.join(missing)}",
-                    fix="add it, or leave the effect out",
-                )
-            own = e.memory(self.vehicle)
-            if own and e.stage not in REMEMBERING:
-                raise ModelError(
-                    f"effect {e.name} of stage {e.stage} has a memory",
-                    expected=f"one of stage {' or '.join(REMEMBERING)}",
-                )
-            if own and e.early:
-                raise ModelError(
-                    f"effect {e.name} has a memory and returns {', '.join(sorted(e.early))}, needed before that is known",
-                    fix="return a force instead",
-                )
-            _check_memory(f"effect {e.name}", own)
-        lags = [e.name for e in self.effects if "lag" in e.early]
-        if len(lags) > 1:
-            raise ModelError(f"two lags of the rotors: {', '.join(lags)}", fix="keep one of them")
+        speed = self.input == "speed"
+        check_effects(self.effects, self.vehicle, self.sensor_names, measured_speed=speed)
         ordered = tuple(
             sorted(self.effects, key=lambda e: (list(SLOTS).index(e.stage), e.order, e.name))
         )
         object.__setattr__(self, "effects", ordered)
-        self._check_sensors()
-
-    def _check_sensors(self) -> None:
-        """Raises `ModelError` where a sensor is there twice, measures an input, or is declared
-        wrongly."""
-        inputs = set(self.inputs.names)
-        shaping = {e.name for e in self.effects if e.memory(self.vehicle)}
-        seen: set[str] = set()
-        for s in self.sensors:
-            columns = {x.name for x in s.signals(self.vehicle)}
-            if doubled := columns & inputs:
-                what = ", ".join(sorted(doubled))
-                raise ModelError(
-                    f"sensor {s.name}: {what} cannot be input and output at once",
-                    fix=f"leave {s.name} out of sensors",
-                )
-            if doubled := ({s.name} | columns) & seen:
-                raise ModelError(
-                    f"sensor {s.name}: {', '.join(sorted(doubled))} given twice", fix="keep one"
-                )
-            seen |= {s.name} | columns
-            if s.clock not in CLOCKS or not 0 <= s.delay < math.inf:
-                raise ModelError(
-                    f"sensor {s.name} shows an unknown instant",
-                    expected=f"a clock of {', '.join(CLOCKS)} and a delay of 0 s or more",
-                    got=f"{s.clock!r}, {s.delay:g} s",
-                )
-            if s.name in shaping and s.memory(self.vehicle):
-                raise ModelError(
-                    f"an effect and a sensor that remember are both named {s.name}",
-                    fix="rename one",
-                )
-            _check_memory(f"sensor {s.name}", s.memory(self.vehicle))
+        check_sensors(self.sensors, self.effects, self.vehicle, self.inputs.names)
 
     # ---------------------------------------------------------------- composition
 
@@ -281,8 +185,10 @@ class PhysicsModel:
 
     @cached_property
     def innovation_columns(self) -> tuple[tuple[str, ...], ...]:
-        """A sensor's components need all of its columns where they are turned into body axes, else
-        just their own."""
+        """Columns that every innovation component needs.
+
+        All of its sensor's where they are turned into body axes, else just its own.
+        """
         rows: list[tuple[str, ...]] = []
         for sensor in self.sensors:
             columns = tuple(s.name for s in sensor.signals(self.vehicle))
@@ -297,12 +203,14 @@ class PhysicsModel:
 
     @cached_property
     def noises(self) -> Layout:
-        """Force noise [N] and torque noise [N m] in body axes (torque alone where the log feels no
-        force); where asked for that of the attitude kinematics; then what lets memories drift."""
+        """Noise of force [N], torque [N m], attitude kinematics [rad/s] and drifting memories.
+
+        Body axes; force only where the log feels any, kinematics only where asked for.
+        """
         felt = {
-            "force": "velocity" in self._kept or self._feels_force,
+            "force": "velocity" in self._felt.blocks or self._felt.force,
             "torque": True,
-            "turn": self.kinematic_noise and "attitude" in self._kept,
+            "turn": self.kinematic_noise and "attitude" in self._felt.blocks,
         }
         said = {
             "force": ("N", "force noise, body"),
@@ -329,72 +237,15 @@ class PhysicsModel:
     def _drifting(self) -> tuple[tuple[str, Remembered], ...]:
         return tuple(self._staged.remembered[i] for i in self._staged.drifting)
 
-    def _at_rest(
-        self, x: Mapping[str, Expr], w: Expr
-    ) -> tuple[Expr, Expr, Flow, dict[str, Expr], dict[str, Expr]]:
-        """(specific force, angular acceleration, flow, rates of memories, readings) with rotors at
-        a steady speed."""
-        nu, u = ca.SX.sym("nu", self._n), ca.SX.sym("u", len(self.inputs))
-        values = self._values(ca.SX.sym("p", len(self.parameters)))
-        force, alpha, flow = self.body.accelerations(x, nu, nu * 0, u, values, w)
-        changes = self._staged.changes(flow, x, values)
-        return force, alpha, flow, changes, self._clocks.shown(flow, force, x, values)
-
-    def _symbols(self) -> dict[str, Expr]:
-        """Symbols of all state blocks but the rotors'."""
-        count = len(self._staged.remembered)
-        own = {"memory": ca.SX.sym("memory", count)} if count else {}
-        return {b: ca.SX.sym(b, block.size) for b, block in BLOCKS.items()} | own
-
-    @cached_property
-    def _kept(self) -> tuple[str, ...]:
-        """State blocks that some sensor feels, directly or through other states (structural
-        observability)."""
-        x = self._symbols()
-        force, alpha, flow, changes, readings = self._at_rest(x, ca.SX.sym("w", 6))
-        # Gravity enters the velocity equation in body axes through the attitude.
-        falling = flow.rotation.T @ (flow.rotation @ force + ca.vertcat(0, 0, -1))
-        rates = changes | {
-            "position": x["velocity"],
-            "velocity": falling + flow.velocity * 0,
-            "attitude": quat_derivative(x["attitude"], x["rate"]),
-            "rate": alpha,
-        }
-        kept: set[str] = set()
-        frontier = [ca.vertcat(*readings.values())]
-        while frontier:
-            expression = frontier.pop()
-            for b, symbol in x.items():
-                if b not in kept and ca.which_depends(expression, symbol, 1, True).count(True):
-                    kept.add(b)
-                    frontier.append(rates[b])
-        return tuple(b for b in BLOCKS if b in kept)
-
-    @cached_property
-    def _feels_force(self) -> bool:
-        """Whether a sensor feels forces at once, and not only through the velocity."""
-        push = ca.SX.sym("force", 3)
-        readings = self._at_rest(self._symbols(), ca.vertcat(push, ca.DM.zeros(3)))[4]
-        return any(ca.which_depends(ca.vertcat(*readings.values()), push, 1, False))
-
-    @cached_property
-    def _feels_place(self) -> bool:
-        """Whether forces or moments depend on the position (as near the ground)."""
-        if not self.effects or "position" not in self._kept:
-            return False
-        x = self._symbols()
-        force, alpha, _, changes, _ = self._at_rest(x, ca.DM.zeros(6))
-        return any(
-            ca.which_depends(ca.vertcat(force, alpha, *changes.values()), x["position"], 1, False)
-        )
-
     @cached_property
     def states(self) -> Layout:
-        """Kept rigid-body blocks, memory.<effect or sensor>.<name> of those that remember,
-        rotor.1..rotor.n where there is a lag."""
+        """Kept blocks of the rigid body, what is remembered, rotor speeds where there is a lag.
+
+        position.x, ..., memory.<effect or sensor>.<name>, rotor.1 .. rotor.n.
+        """
         rows = [
             Signal(name=f"{b}.{a}", unit=BLOCKS[b].unit, meaning=b)
-            for b in self._kept
+            for b in self._felt.blocks
             for a in BLOCKS[b].letters
         ]
         rows += self._memory_signals("")
@@ -407,10 +258,12 @@ class PhysicsModel:
 
     @cached_property
     def error_states(self) -> Layout:
-        """As `states`, the attitude with three components [rad]; position and velocity errors in
-        body axes."""
+        """As `states`, the attitude with three components [rad].
+
+        Position and velocity errors are in body axes.
+        """
         rows = []
-        for b in self._kept:
+        for b in self._felt.blocks:
             unit = "rad" if b == "attitude" else BLOCKS[b].unit
             rows += [
                 Signal(name=f"d_{b}.{a}", unit=unit, meaning=f"{b} error, body axes") for a in "xyz"
@@ -467,6 +320,14 @@ class PhysicsModel:
         return SensorClocks(body=self.body)
 
     @cached_property
+    def _felt(self) -> Felt:
+        return Felt(
+            clocks=self._clocks,
+            parameters=tuple(d.name for d in self.parameters),
+            inputs=len(self.inputs),
+        )
+
+    @cached_property
     def _commands(self) -> CommandWindow:
         past, future = self.window
         return CommandWindow(rotors=self._n, past=past, future=future)
@@ -480,7 +341,7 @@ class PhysicsModel:
         blocks: dict[str, Expr] = {}
         at = 0
         for b, block in BLOCKS.items():
-            if b in self._kept:
+            if b in self._felt.blocks:
                 blocks[b] = x[at : at + block.size]
                 at += block.size
             else:
@@ -491,12 +352,14 @@ class PhysicsModel:
         return blocks, x[at:]
 
     def _join(self, blocks: Mapping[str, Expr], nu: Expr) -> Expr:
-        kept = [*self._kept, *(["memory"] if self._staged.remembered else [])]
+        kept = [*self._felt.blocks, *(["memory"] if self._staged.remembered else [])]
         return ca.vertcat(*(blocks[b] for b in kept), *([nu] if self._has_lag else []))
 
     def _noise(self, w: Expr) -> Expr:
-        """Noise of `PUSHES`, zeros for those that the model does not have, and of drifting
-        memories; None: none at all."""
+        """Noise of `PUSHES` and of drifting memories, zeros for what the model does not have.
+
+        None stands for no noise at all.
+        """
         drifting = len(self._drifting)
         if w is None:
             return ca.DM.zeros(3 * len(PUSHES) + drifting)
@@ -519,8 +382,7 @@ class PhysicsModel:
         return self._join(d, nu_rate)
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
-        """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as process noise
-        does."""
+        """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as noise does."""
         values = self._values(p)
         return self._outputs(x, u, self._clocks.held(u, values), values, w)
 
@@ -537,8 +399,7 @@ class PhysicsModel:
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """One sample: rotors exactly, rigid body by Runge-Kutta 4, the quaternion brought back to
-        unit length."""
+        """One sample: rotors exactly, rigid body by Runge-Kutta 4, unit quaternion."""
         blocks, nu = self._split(x)
         values, rotors, noise = self._values(p), self._rotors, self._noise(w)
         u_a, u, switch = self._commands.held(window, self._clocks.command_age(OWN, values), dt)
@@ -589,7 +450,7 @@ class PhysicsModel:
         blocks, nu = self._split(x)
         rotation = rotation_matrix(blocks["attitude"])
         moved, at = {}, 0
-        for b in self._kept:
+        for b in self._felt.blocks:
             e = d[at : at + 3]
             at += 3
             if b == "attitude":
@@ -607,7 +468,7 @@ class PhysicsModel:
         b, nu2 = self._split(x2)
         rotation = rotation_matrix(a["attitude"])
         out = []
-        for k in self._kept:
+        for k in self._felt.blocks:
             if k == "attitude":
                 out.append(quat_difference(a[k], b[k]))
             else:
@@ -617,8 +478,7 @@ class PhysicsModel:
         return ca.vertcat(*out, *([nu2 - nu1] if self._has_lag else []))
 
     def derived(self, p: Expr) -> dict[str, Expr]:
-        """Named numbers that follow from the parameters: effect.name -> expression in the vector
-        p."""
+        """Named numbers that follow from the parameters p: effect.name -> expression."""
         values = self._values(p)
         out: dict[str, Expr] = {}
         for e in self.effects:
@@ -629,49 +489,41 @@ class PhysicsModel:
     # ---------------------------------------------------------------- start of a flight
 
     def initial_state(self, start: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """What the first samples of the sensors say, whether the model has them or not; level and
-        at rest where nothing is measured; rotors at their command, memories at zero."""
-        found = [
-            x for s in self._all_sensors for x in s.starts(self._first(start, s), _times(start))
-        ]
+        """What first samples say; else level, at rest, memories zero, rotors at their command.
+
+        Sensors say so whether the model takes measurements from them or not.
+        """
+        t = first_times(start)
+        said = [x for s in self._all_sensors for x in s.starts(self._first(start, s), t)]
         values, sigma = [], []
-        for b in self._kept:
-            value, spread = np.array(BLOCKS[b].rest), np.full(3, BLOCKS[b].spread)
-            for said in (x for x in found if x.block == b):
-                new, near = (
-                    np.asarray(said.value, dtype=float),
-                    np.asarray(said.spread, dtype=float),
-                )
-                if value.shape == spread.shape:
-                    better = np.isfinite(new) & (near < spread)
-                    value[better], spread[better] = new[better], near[better]
-                elif np.isfinite(new).all() and near.mean() < spread.mean():
-                    value, spread = new, near  # the components of a quaternion belong together
+        for b in self._felt.blocks:
+            value, spread = start_of(b, said)
             values.append(value)
             sigma.append(spread)
         sizes = np.array([r.size for _, r in self._staged.remembered])
         values.append(np.zeros(len(sizes)))
         sigma.append(sizes)
         if self._has_lag:
-            u = first_complete(_columns(start, self.inputs.names[: self._n]))
+            u = first_complete(first_columns(start, self.inputs.names[: self._n]))
             values.append(np.full(self._n, 0.5) if u is None else u)
             sigma.append(np.full(self._n, 0.1))
         return np.concatenate(values), np.concatenate(sigma)
 
     @property
     def _all_sensors(self) -> tuple[Sensor, ...]:
-        """The model's sensors and those of the catalogue that it does not take measurements
-        from."""
+        """The model's sensors and those of the catalogue that it takes no measurements from."""
         return (*self.sensors, *(s for s in SENSORS if s.name not in self.sensor_names))
 
     def _first(self, start: Mapping[str, FloatArray], sensor: Sensor) -> FloatArray:
-        return _columns(start, [s.name for s in sensor.signals(self.vehicle)])
+        return first_columns(start, [s.name for s in sensor.signals(self.vehicle)])
 
     def reference(self, means: Mapping[str, float]) -> FloatArray:
-        """Level and at rest, rotors at the mean command, memories 0; at the mean position where
-        forces depend on it."""
-        blocks = {b: list(BLOCKS[b].rest) for b in self._kept}
-        if self._feels_place:
+        """Level and at rest, rotors at the mean command, memories 0.
+
+        At the mean position where forces depend on it.
+        """
+        blocks = {b: list(BLOCKS[b].rest) for b in self._felt.blocks}
+        if self._felt.place:
             blocks["position"] = [means.get(a, 0.0) for a in "xyz"]
         out = [v for block in blocks.values() for v in block] + [0.0] * len(self._staged.remembered)
         if self._has_lag:
@@ -679,8 +531,7 @@ class PhysicsModel:
         return np.asarray(out)
 
     def noise_scale(self, dt: float) -> FloatArray:
-        """0.1 m/s^2 and 1 rad/s^2 of white acceleration per sample, 0.1 rad/s on the attitude
-        kinematics, and the drifts that are declared."""
+        """0.1 m/s^2 and 1 rad/s^2 per sample, 0.1 rad/s of kinematics, and the declared drifts."""
         force = 0.1 * self.vehicle.mass.value
         torque = [1.0 * float(self.vehicle.inertia[i][i]) for i in range(3)]
         parts = {"force": [force] * 3, "torque": torque, "turn": [0.1] * 3}
@@ -698,36 +549,6 @@ class PhysicsModel:
             level = self.vehicle.noise.get(s.name, s.typical_noise(self.vehicle))
             levels.append(np.broadcast_to(np.asarray(level, dtype=float), (count,)))
         return np.concatenate(levels)
-
-
-def _check_memory(owner: str, memory: Sequence[Remembered]) -> None:
-    names = {m.name for m in memory}
-    if len(names) < len(memory) or not all(re.fullmatch(r"[a-z][a-z0-9_]*", n) for n in names):
-        raise ModelError(
-            f"{owner}: bad names in its memory",
-            got=", ".join(m.name for m in memory),
-            expected="each its own, of lower-case letters, digits and underscores",
-        )
-    if not all(0 < m.size < math.inf for m in memory):
-        raise ModelError(
-            f"{owner}: a size in its memory is not positive", expected="what is typical of it"
-        )
-    if not all(0 <= m.drift < math.inf for m in memory):
-        raise ModelError(f"{owner}: a drift in its memory is negative", expected="0 for none")
-
-
-def _times(start: Mapping[str, FloatArray]) -> FloatArray:
-    return np.asarray(start.get("t", np.array([0.0])))
-
-
-def _columns(start: Mapping[str, FloatArray], names: Sequence[str]) -> FloatArray:
-    """(n, columns); one row of NaN where they are not all of one length."""
-    columns = [np.asarray(start.get(n, np.array([np.nan]))) for n in names]
-    return (
-        np.column_stack(columns)
-        if len({c.size for c in columns}) == 1
-        else np.full((1, len(names)), np.nan)
-    )
 
 
 def sensors_for(
@@ -753,8 +574,7 @@ def build_model(
     kinematic_noise: bool = False,
     sensors: Iterable[Sensor] = (),
 ) -> PhysicsModel:
-    """The model for a vehicle and a log: its known effects, the ones asked for, and the sensors
-    that the log fills.
+    """The model for a vehicle and a log: known effects, those asked for, and the log's sensors.
 
     `columns` are the channels of the data (`Dataset.channels`), `noncausal` those that were
     smoothed with later samples and must not serve as measurements; `kinematic_noise` is that of

@@ -73,7 +73,8 @@ class RigidBody:
         thrust = _polynomial(nu, [values.get(f"thrust.c{k}", 0.0) for k in range(3)])
         torque = _polynomial(nu, [values.get(f"torque.c{k}", 0.0) for k in range(3)])
         if self.rotors.have_lag:
-            # At tau = 0 the jumps of the command are no rates: effects see what they see without a lag.
+            # At tau = 0 the jumps of the command are no rates: effects see what they see without
+            # a lag.
             nu_rate = ca.if_else(self.rotors.lag(values) > 0, nu_rate, 0)
         wind = rotation.T @ staged.early("wind", values) if staged.has("wind") else ca.DM.zeros(3)
         flow = replace(

@@ -188,7 +188,8 @@ class SensorClocks:
         w = ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))
         u, goal, soon = way.mean, rotors.goal(way.mean, values), rotors.goal(way.early, values)
         if rotors.have_lag:
-            # Backwards a settled rotor would run away: there the lag counts as no shorter than the way.
+            # Backwards a settled rotor would run away: there the lag counts as no shorter than
+            # the way.
             tau = positive(rotors.lag_over(nu - goal, values))
             tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
             nu_rate = (goal - nu) / ca.fmax(tau, ca.fabs(back))

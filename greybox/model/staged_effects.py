@@ -60,12 +60,16 @@ class StagedEffects:
 
     # ---------------------------------------------------------------- what is remembered
 
+    @property
+    def owners(self) -> tuple[Effect | Sensor, ...]:
+        """All that may remember, in the order of the state vector."""
+        out: list[Effect | Sensor] = [*self.effects, *self.sensors]
+        return tuple(out)
+
     @cached_property
     def memory(self) -> dict[str, tuple[Remembered, ...]]:
         """Effect or sensor -> its own states, in the order of the state vector."""
-        return {
-            e.name: own for e in (*self.effects, *self.sensors) if (own := e.memory(self.vehicle))
-        }
+        return {e.name: own for e in self.owners if (own := e.memory(self.vehicle))}
 
     @cached_property
     def remembered(self) -> tuple[tuple[str, Remembered], ...]:
@@ -92,7 +96,7 @@ class StagedEffects:
         """d memory / dt of all that remember, as a block, pushed by the noise `drift`; none where
         nothing is remembered."""
         parts = []
-        for owner in (*self.effects, *self.sensors):
+        for owner in self.owners:
             if owner.name not in self.memory:
                 continue
             seen = self.with_memory(owner, flow, x)

@@ -35,8 +35,9 @@ ASSUMED = "default_sigma"
 """Key of a written vehicle: names of the numbers whose sigma nobody stated."""
 NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage", "rotor_speed")
 """Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s. Other names belong to sensors of the user's own."""
-MISSPELT = 0.8
-"""Likeness (`difflib`) to one of `NOISES` from which on another name is a slip: "gyros" 0.89, "barometer" 0.73."""
+MISSPELT, LETTERS = 0.7, 2
+"""Likeness (`difflib`) to one of `NOISES` from which on another name is a slip for it, and by how many letters it may be
+longer or shorter then: "giro" is 0.75 like "gyro"; "barometer", 0.73 like "accelerometer", is four letters shorter."""
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
@@ -437,7 +438,8 @@ def _names_own_sensor(key: str) -> bool:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", key):
         return False
     begins = any(key.startswith(n) or n.startswith(key) for n in NOISES)
-    return not begins and not difflib.get_close_matches(key, NOISES, cutoff=MISSPELT)
+    near = difflib.get_close_matches(key, NOISES, n=len(NOISES), cutoff=MISSPELT)
+    return not begins and not any(abs(len(n) - len(key)) <= LETTERS for n in near)
 
 
 def _vehicle(top: TomlTable) -> Vehicle:

@@ -42,8 +42,7 @@ def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
 def load_model(
     path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
 ) -> IdentifiedModel:
-    """Read a model file, physics or hybrid; `effects` and `sensors` are those that are not in the catalogues
-    (`load_effects`).
+    """Read a model file, physics or hybrid; `effects` and `sensors` are those of the user's own (`load_effects`).
 
     Raises `FileFormatError` (schema, checksum, sizes), `VehicleError`, `UnknownNameError`, `ModelError`.
     """

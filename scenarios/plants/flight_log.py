@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.plants.controller import Setpoint
-from scenarios.plants.quadrotor import Quadrotor
+from scenarios.plants.vectors import Vector
 
 Log = dict[str, NDArray[np.float64]]
 """Columns by name; t has shape (N,), every other column (N,), or (N, B) for a batch."""
@@ -18,6 +18,39 @@ TRUTH = "true."
 """Prefix of the columns that a real log would not have: the true states."""
 CLEAN = "clean."
 """Prefix of what the sensors would have said without noise, bias, scale and delay included."""
+
+
+class Plant(Protocol):
+    """A vehicle that can be flown: `scenarios.plants.quadrotor.Quadrotor`, or one of another simulator."""
+
+    @property
+    def batch(self) -> int | None:
+        """Number of vehicles flown at once, or None for a single one."""
+        ...
+
+    def reset(
+        self,
+        seed: Any,
+        *,
+        position: Vector,
+        velocity: Vector,
+        attitude: tuple[Any, Any, Any, Any],
+        charge_used: Any,
+    ) -> None:
+        """Start anew at t = 0."""
+        ...
+
+    def step(self, u: Any, dt: float | None = None) -> None:
+        """Hold command u for dt [s]."""
+        ...
+
+    def measure(self, u: Any | None = None, *, noise: bool = True) -> dict[str, Any]:
+        """Measurements by flight-log column; u is the command that begins now."""
+        ...
+
+    def states(self) -> dict[str, Any]:
+        """True state by name."""
+        ...
 
 
 class Reference(Protocol):
@@ -51,7 +84,7 @@ class Controller(Protocol):
 
 
 def fly(
-    plant: Quadrotor,
+    plant: Plant,
     controller: Controller,
     reference: Reference,
     excitation: Excitation | None,

@@ -89,6 +89,20 @@ def test_simulated_plants_are_independent_of_what_is_fitted_to_them(folder):
     assert not wrong, "\n".join(wrong)
 
 
+def test_foreign_simulators_share_nothing_with_what_they_judge():
+    simulators = {"rotorpy", "mujoco", "drone_models", "casadi", "scipy", "numpy"}
+    reached = ("scenarios.foreign", "scenarios.plants", "scenarios.excitation")
+    wrong = []
+    for path in files("scenarios/foreign"):
+        for found in imports(path):
+            top = found.module.split(".")[0]
+            if top not in sys.stdlib_module_names | simulators | {"scenarios"}:
+                wrong.append(say(path, found, "a judge uses its simulator and nothing of greybox"))
+            if top == "scenarios" and not found.module.startswith(reached):
+                wrong.append(say(path, found, "a judge reaches no other part of scenarios"))
+    assert not wrong, "\n".join(wrong)
+
+
 def test_greybox_reaches_its_users_only_from_commands_and_inside_functions():
     wrong = []
     for path in files("greybox"):

@@ -10,7 +10,7 @@ from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 PAGE = ROOT / "docs" / "architecture.md"
 BESIDE = ("statistics", "report")
 """Rooms that are no step on the way of the data: below all of them, and behind all of them."""
-SCENARIOS = ("plants", "excitation", "courses", "flights")
+SCENARIOS = ("plants", "excitation", "courses", "flights", "foreign")
 
 
 def package_of(module: str) -> str | None:

@@ -173,7 +173,7 @@ def test_the_vehicle_file_states_its_noise_by_name() -> None:
     model = build_model(known, ["p", "q", "r"], sensors=[Barometer()])
     assert model.sensor_scale().tolist() == [0.01] * 3 + [0.3]
     assert build_model(vehicle(), ["p", "q", "r"], sensors=[Barometer()]).sensor_scale()[-1] == 0.2
-    for slip in ("gyros", "accel", "acc", "altitude"):
+    for slip in ("gyros", "giro", "accel", "acc", "altitude"):
         with pytest.raises(UnknownNameError, match=slip):
             Vehicle.from_dict(vehicle().to_dict() | {"noise": {slip: 0.3}})
 

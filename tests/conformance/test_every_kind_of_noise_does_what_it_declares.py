@@ -17,6 +17,7 @@ from greybox.model.noise import (
     KINDS,
     Augmented,
     Coloured,
+    Delay,
     Disturbance,
     Drift,
     Line,
@@ -41,6 +42,7 @@ EXAMPLES = {
     "drift": Drift(sensor="gyro"),
     "line": Line(sensor="accelerometer", time=0.5, frequency=13.0),
     "low_pass": LowPass(sensor="accelerometer", time=0.008),
+    "delay": Delay(sensor="gyro", time=0.004),
 }
 PARTS = (*EXAMPLES.values(), Disturbance(group="force"), Coloured(sensor="attitude", time=0.2))
 
@@ -111,7 +113,7 @@ def test_sizes_names_and_units_fit(physics, kind):
     assert [s.unit for s in own] == expected * len(part.copies)
     declared = model.parameters[len(physics.parameters) :]
     assert [d.name for d in declared] == [f"{part.name}.{q}" for q in part.quantities]
-    assert all(d.unit == {"T": "s", "f": "Hz"}[d.name.split(".")[-1]] for d in declared)
+    assert all(d.unit == {"T": "s", "f": "Hz", "d": "s"}[d.name.split(".")[-1]] for d in declared)
     for value, size in (
         (model.reference(dict.fromkeys(COLUMNS, 0.1)), len(model.states)),
         (model.initial_state({})[0], len(model.states)),
@@ -125,7 +127,7 @@ def test_sizes_names_and_units_fit(physics, kind):
     assert (model.initial_state({})[1] > 0).all()
 
 
-@pytest.mark.parametrize("kind", [k for k in EXAMPLES if k != "low_pass"])
+@pytest.mark.parametrize("kind", [k for k in EXAMPLES if k not in ("low_pass", "delay")])
 def test_it_is_white_noise_where_its_states_are_zero(physics, kind):
     model = Augmented(core=physics, parts=(EXAMPLES[kind],))
     n, q, m = len(physics.states), len(physics.parameters), len(physics.noises)
@@ -145,8 +147,9 @@ def test_it_is_white_noise_where_its_states_are_zero(physics, kind):
     assert not flat(mine["step"](x, u, p, w))[n:].any()
 
 
-def test_a_filter_without_time_is_no_filter(physics):
-    model = Augmented(core=physics, parts=(EXAMPLES["low_pass"],))
+@pytest.mark.parametrize("kind", ["low_pass", "delay"])
+def test_a_filter_without_time_is_no_filter(physics, kind):
+    model = Augmented(core=physics, parts=(EXAMPLES[kind],))
     n, q, m = len(physics.states), len(physics.parameters), len(physics.noises)
     x, u, p, w = point(model)
     x[n:], p[-1] = 0.0, 1e-9
@@ -191,6 +194,16 @@ def test_a_filter_of_a_ramp_lags_by_its_time_constant():
     t = DT * np.arange(60)
     exact = slope * (t - 0.008 * (1 - np.exp(-t / 0.008)))
     assert np.array(shown) == pytest.approx(exact, abs=1e-12)
+
+
+def test_a_late_sensor_shows_a_ramp_late_by_its_delay():
+    part = Delay(sensor="gyro", time=0.004)
+    slope, c, shown = 3.0, ca.DM(0.0), []
+    for k in range(10):
+        reading = ca.DM(slope * DT * k)
+        shown.append(float(part.shown(c, ca.DM(0.0), {"d": 0.004}, reading, DT)))
+        c = part.step(c, ca.DM(0.0), {"d": 0.004}, reading, DT)
+    assert np.array(shown)[1:] == pytest.approx(slope * (DT * np.arange(1, 10) - 0.004), abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
@@ -310,5 +323,7 @@ def test_mistakes_are_named(physics):
         Augmented(core=physics, parts=(Disturbance(group="forse"),))
     with pytest.raises(ModelError, match=r"noise given twice: drift\.gyro"):
         Augmented(core=physics, parts=(EXAMPLES["drift"], Drift(sensor="gyro")))
+    with pytest.raises(ModelError, match=r"two filters of one sensor.*gyro"):
+        Augmented(core=physics, parts=(Delay(sensor="gyro"), LowPass(sensor="gyro")))
     with pytest.raises(ModelError, match=r"low_pass\.attitude"):
         Augmented(core=physics, parts=(LowPass(sensor="attitude"),))

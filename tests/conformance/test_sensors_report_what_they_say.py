@@ -14,8 +14,8 @@ from greybox.data.channel import channel
 from greybox.frames import quat_exp, quat_multiply, rotation_matrix
 from greybox.model.clock import CLOCKS
 from greybox.model.effect import Flow
-from greybox.model.model import BLOCKS
 from greybox.model.sensors import SENSORS
+from greybox.model.state_blocks import BLOCKS
 from greybox.model.vehicle import NOISES
 
 every_sensor = pytest.mark.parametrize("sensor", [pytest.param(s, id=s.name) for s in SENSORS])

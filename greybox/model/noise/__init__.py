@@ -11,6 +11,7 @@ from greybox.model.noise.augmented import (
     without_parts,
 )
 from greybox.model.noise.coloured import Coloured
+from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
 from greybox.model.noise.line import Line
@@ -21,6 +22,7 @@ __all__ = [
     "KINDS",
     "Augmented",
     "Coloured",
+    "Delay",
     "Disturbance",
     "Drift",
     "Line",
@@ -35,5 +37,5 @@ __all__ = [
     "without_parts",
 ]
 
-KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass)
+KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass, Delay)
 """All kinds of noise part."""
