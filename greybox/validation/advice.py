@@ -188,7 +188,9 @@ def hints_of_checks(
     report: CheckReport, *, effects: Collection[str], kinematic_noise: bool = False
 ) -> tuple[Hint, ...]:
     """What the checks of the logs say about a model with these effects."""
-    out: list[Hint] = [Hint(symptom=Symptom.LOG_FAULT, detail=f"{f.flight}: {f.message}") for f in report.blocking]
+    # Flights are cut at gaps: what is missing costs data and spoils no fit.
+    faults = [f for f in report.blocking if f.check != "gaps"]
+    out = [Hint(symptom=Symptom.LOG_FAULT, detail=f"{f.flight}: {f.message}") for f in faults]
     lags = [
         float(f.evidence[k])
         for f in report.of("alignment")
