@@ -31,13 +31,14 @@ from greybox.model.vehicle import Vehicle
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
     """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were resampled
-    to, None: their own."""
+    to, None: their own; `names` are those of all flights that were given, in order."""
 
     data: Dataset
     report: CheckReport
     removed: tuple[Removed, ...]
     left_out: tuple[LeftOut, ...]
     rate: float | None
+    names: tuple[str, ...]
 
     def decisions(self) -> tuple[Decision, ...]:
         """What was done, as decisions."""
@@ -82,8 +83,10 @@ def prepare(
     rate: float | None = None,
     keep_impossible: bool = False,
     all_flights: bool = False,
+    decide_rate: bool = True,
 ) -> Prepared:
-    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open).
+    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs' own
+    where it is not to be decided).
 
     Raises `DataError` for logs that are no flights.
     """
@@ -96,14 +99,15 @@ def prepare(
     if isinstance(logs, Dataset) and not removed:
         data = logs
     else:
-        data = read_flights(raws, vehicle, trim=trim)
+        own_rate = rate if not decide_rate else None
+        data = read_flights(raws, vehicle, rate=own_rate, trim=trim)
     report = check(data, vehicle)
     kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
-    wanted = rate or needed_rate(kept)
-    if wanted is not None:
+    wanted = rate if rate is not None or not decide_rate else needed_rate(kept)
+    if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
-    return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted)
+    return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names)
 
 
 def fit_recipe(vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None) -> Fit:

@@ -28,8 +28,8 @@ Options = TypeVar("Options", bound="DataclassInstance")
 _FLAGS = {
     "predictor": "--predictor", "criterion": "--criterion", "solver": "--solver",
     "initialisation": "--init", "disturbance": "--disturbance", "free": "--free",
-    "fixed": "--fixed", "considered": "--considered", "per_flight": "--per-flight", "shared": "--shared", "values": "--value",
-    "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
+    "fixed": "--fixed", "considered": "--considered", "per_flight": "--per-flight",
+    "shared": "--shared", "values": "--value", "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
 }
 
 
