@@ -115,7 +115,7 @@ def test_every_simulator_flies_the_same_body_as_our_own_plants_do(simulator, cra
         "nu1",
         "nu4",
     ):
-        assert theirs[name] == pytest.approx(ours[name], abs=2e-3), name
+        assert theirs[name] == pytest.approx(ours[name], abs=1e-4), name
     assert abs(ours["p"]) + abs(ours["q"]) > 0.2
 
 
@@ -126,7 +126,7 @@ def test_sensors_away_from_the_centre_of_mass_read_what_our_own_plants_read(simu
     states(ours), states(theirs)
     want, got = ours.measure(), theirs.measure()
     for name in ("ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz", "p", "q", "r"):
-        assert got[name] == pytest.approx(want[name], abs=1e-2), name
+        assert got[name] == pytest.approx(want[name], abs=1e-3), name
 
 
 def test_the_accelerometer_agrees_with_the_one_that_mujoco_has():
