@@ -38,6 +38,7 @@ _PUBLIC = {
     "fit": "greybox.automatic",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
+    "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
     "GreyboxError": "greybox.errors",
 }
@@ -63,6 +64,7 @@ __all__ = [
     "discover",
     "fit",
     "fit_report",
+    "identify",
     "inspect_log",
     "learn",
     "load_effects",
@@ -77,13 +79,14 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from greybox.automatic import fit
+    from greybox.commands.chain.front_door import identify
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.inspection import inspect_log
     from greybox.data.logs import read_log, read_logs
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
-    from greybox.automatic import fit
     from greybox.estimation.fit import Fit
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects

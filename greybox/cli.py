@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 COMMANDS = (
-    "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
+    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
     "discover", "compare", "export", "mpc", "effects", "cite", "completion",
 )  # fmt: skip
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Literal
+from urllib.parse import quote
 
 from matplotlib.figure import Figure
 
@@ -110,6 +111,12 @@ class Report:
         """A list of plain texts; nothing where it is empty."""
         if texts:
             self._parts.append("<ul>" + "".join(f"<li>{escape(t)}</li>" for t in texts) + "</ul>")
+
+    def links(self, places: Sequence[tuple[str, str]]) -> None:
+        """Links to files beside the page, (text, path from the page) each; nothing where there are none."""
+        if places:
+            listed = (f'<a href="{escape(quote(path))}">{escape(text)}</a>' for text, path in places)
+            self._parts.append(f"<p>{', '.join(listed)}</p>")
 
     def code(self, text: str) -> None:
         """Text in a fixed-width font, as a command line."""

@@ -1,0 +1,61 @@
+"""The one page of `greybox identify`: from identify.json (greybox.identify/1) to one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from greybox.model.verdict import Outcome
+from greybox.report.html import Cell, Report, Tag
+
+
+def identify_report(
+    content: Mapping[str, Any],
+    about: Mapping[str, str],
+    *,
+    links: Mapping[str, Sequence[tuple[str, str]]],
+) -> str:
+    """The page. `content` follows schemas/identify.json; `about` says of every stage by name what it
+    is for, and `links` which files beside the page belong to it, (text, path) each."""
+    outcome = content["outcome"]
+    report = Report("From flights to a model", content["command"])
+    verdict = outcome["verdict"]
+    usable = verdict is not None and verdict["outcome"] == Outcome.USABLE.value
+    report.first_line(outcome["line"], good=usable)
+    if outcome["model"]:
+        facts = [("Model", outcome["model"]), ("Why this one", outcome["why"])]
+        if verdict is not None:
+            facts.append(("Judged on", verdict["judged_on"]))
+            facts += [
+                (name, verdict[key])
+                for name, key in (("Likely reason", "reason"), ("Next", "action"))
+                if verdict[key]
+            ]
+        report.facts(facts)
+    report.section("Stages")
+    report.table(
+        ("stage", "what", "ended", "seconds", "CPU seconds"),
+        [_row(s, about.get(s["name"], "")) for s in content["stages"]],
+    )
+    for stage in content["stages"]:
+        report.section(stage["folder"].replace("_", " "))
+        if stage["skipped"]:
+            report.paragraph(f"Skipped: {stage['skipped']}.")
+            continue
+        report.code("\n".join(stage["lines"]) or "(it said nothing)")
+        report.links(links.get(stage["name"], ()))
+    report.section("How to reproduce this")
+    report.paragraph("Each stage is a plain command; one after the other they give the same files.")
+    report.code("\n".join(c for s in content["stages"] if not s["skipped"] for c in s["commands"]))
+    report.paragraph("All of them, going on where it was stopped:")
+    report.code(content["command"])
+    return report.html()
+
+
+def _row(stage: Mapping[str, Any], about: str) -> tuple[Cell, ...]:
+    if stage["skipped"]:
+        return stage["name"], about, "skipped", None, None
+    ended: Cell = {0: "done", 1: Tag(text="the answer is no")}.get(
+        stage["exit_code"], Tag(text=f"failed ({stage['exit_code']})")
+    )
+    return stage["name"], about, ended, float(stage["seconds"]), float(stage["cpu_seconds"])
