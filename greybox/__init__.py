@@ -20,6 +20,7 @@ _PUBLIC = {
     "read_vehicle": "greybox.model.vehicle",
     "Vehicle": "greybox.model.vehicle",
     "check_vehicle": "greybox.model.plausibility",
+    "vehicle_findings": "greybox.model.plausibility",
     "build_model": "greybox.model.model",
     "load_effects": "greybox.model.effects_file",
     "PhysicsModel": "greybox.model.model",
@@ -72,6 +73,7 @@ __all__ = [
     "read_vehicle",
     "save_model",
     "validate",
+    "vehicle_findings",
 ]
 
 if TYPE_CHECKING:
@@ -87,7 +89,7 @@ if TYPE_CHECKING:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.model import PhysicsModel, build_model
     from greybox.model.parameter import Parameter, ParameterValues
-    from greybox.model.plausibility import check_vehicle
+    from greybox.model.plausibility import check_vehicle, vehicle_findings
     from greybox.model.vehicle import Vehicle, read_vehicle
     from greybox.planning.plan import plan
     from greybox.report.fit_report import fit_report

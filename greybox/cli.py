@@ -1,6 +1,6 @@
 """The command line: `greybox COMMAND ...`. Each command is one file in greybox/commands with `add` and `run`.
 
-Exit codes: 0 done, 1 done and the answer is no (a check that found blocking faults, a fit that did not converge),
+Exit codes: 0 done, 1 done and the answer is no (a check that found blocking faults, a model that is not usable),
 2 bad input or usage (one line on standard error), 130 interrupted (what was done until then is kept).
 """
 
@@ -30,7 +30,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="greybox",
         description="From flight logs to a model that a controller trusts.",
-        epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a fit that did not converge); 2 bad "
+        epilog="Exit codes: 0 done; 1 done, and the answer is no (blocking faults, a model that is not usable); 2 bad "
         "input or usage, one line says what; 130 interrupted, what was done until then is kept.",
     )
     parser.add_argument("--version", action="version", version=_version())

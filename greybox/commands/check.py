@@ -25,7 +25,13 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 def run(arguments: argparse.Namespace) -> int:
     """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a fit."""
     from greybox.commands.judgement import tell
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import check_logs
     from greybox.model.vehicle import read_vehicle
 
-    return tell(check_logs(arguments.logs, read_vehicle(arguments.vehicle), mapping=arguments.mapping), arguments.json)
+    vehicle = read_vehicle(arguments.vehicle)
+    report = check_logs(arguments.logs, vehicle, mapping=arguments.mapping)
+    code = tell(report, arguments.json)
+    if arguments.json != "-":
+        say_vehicle(vehicle, print)
+    return code

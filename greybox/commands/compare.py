@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.fit import model_options, names
+from greybox.commands.judgement import horizon_options
 
 
 def add(subparsers: Any) -> None:
@@ -33,9 +34,7 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--points", type=int, default=50, metavar="M", help="support points of the force and torque GP")
     p.add_argument("--methods", type=names, default=None, metavar="a,b", help="only these methods, by name")
-    p.add_argument(
-        "--horizons", default="1,10,50", metavar="1,10,50", help="horizons of the multi-step table in samples"
-    )
+    horizon_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
     p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
@@ -47,7 +46,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
     from greybox.commands.fit import fit_with
-    from greybox.commands.validate import parse_horizons
+    from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
@@ -58,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.residual.compare_bench import Bench
 
     quiet = arguments.json == "-"
-    horizons = parse_horizons(arguments.horizons)
+    given_horizons(arguments)  # what is wrong with them is said before logs are read
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     if arguments.budget < 1:
@@ -81,8 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     bench = Bench(
         vehicle=vehicle, train=train, test=test, fit=lambda: fit_with(arguments, vehicle, train, progress),
-        adapt=arguments.adapt, budget=arguments.budget, seed=arguments.seed, points=arguments.points, horizons=horizons,
-        say=say,
+        adapt=arguments.adapt, budget=arguments.budget, seed=arguments.seed, points=arguments.points,
+        horizons=horizon_steps(arguments, sample_time(train)), say=say,
     )  # fmt: skip
     out = Path(arguments.out)
     command = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["compare"] else "greybox compare"

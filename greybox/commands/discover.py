@@ -54,6 +54,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, search, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
     from greybox.data.logs import read_logs
@@ -122,6 +123,8 @@ def run(arguments: argparse.Namespace) -> int:
             test = read_logs(
                 arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train), mapping=arguments.mapping
             )
+        if not quiet:
+            say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
         try:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,

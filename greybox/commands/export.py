@@ -17,7 +17,8 @@ def add(commands: Any) -> None:
         help="write a fitted model as C and CasADi for a controller",
         description="Write a fitted model (physics, hybrid or linear) as a folder that a controller can use without "
         "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing folder "
-        "is replaced only when it is such a bundle. Exit code 0: done, 2: bad input.",
+        "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is not usable, 2: bad "
+        "input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or `linear`")
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
@@ -35,6 +36,7 @@ def add(commands: Any) -> None:
     )
     p.add_argument("--points", type=int, metavar="M", help="fewer support points for the learned part")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
     p.add_argument("--json", metavar="FILE", help="write the manifest; - for standard output")
     p.set_defaults(run=run)
@@ -45,9 +47,10 @@ def _split(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read, export, say what was written. Returns 0."""
+    """Read, export, say what was written. Returns 0, or 1 where the model is not usable."""
+    from greybox.commands.judgement import gate
     from greybox.errors import DataError, UnknownNameError
-    from greybox.files import dump_json, write_json
+    from greybox.files import dump_json, read_json, write_json
 
     for what, given, known in (("export target", arguments.target, TARGETS), ("group", arguments.groups, GROUPS)):
         for name in _split(given):
@@ -57,13 +60,19 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
+    model = _model(arguments.model, arguments.effects_file)
+    judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)
+    if not judged.open:
+        judged.say("export")
+        return 1
     from mpc_export.bundle import describe, write_bundle
 
     bundle = write_bundle(
-        _model(arguments.model, arguments.effects_file), arguments.out, name=arguments.name, dt=arguments.dt,
+        model, arguments.out, name=arguments.name, dt=arguments.dt,
         targets=_split(arguments.target), real="float" if arguments.float else "double", with_=_split(arguments.groups),
         runtime_parameters=_split(arguments.runtime), points=arguments.points, use_cache=not arguments.no_cache,
     )  # fmt: skip
+    judged.say("export")
     if arguments.json == "-":
         sys.stdout.write(dump_json(bundle.manifest))
         return 0

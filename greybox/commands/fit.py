@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from greybox.estimation.solver import Progress, Solver
     from greybox.model.vehicle import Vehicle
 
+from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+
 
 def names(text: str) -> tuple[str, ...]:
     """A comma-separated list of names."""
@@ -45,7 +47,8 @@ def add(subparsers: Any) -> None:
         "fit",
         help="fit a Newton-Euler model to flight logs",
         description="Fit a Newton-Euler model to flight logs by the prediction error method. Writes fit.json, model.json "
-        "and report.html. Exit code 0: converged, 1: not converged, 2: bad input, 130: interrupted.",
+        "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
+        "interrupted.",
     )
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
@@ -53,7 +56,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     model_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
-    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
+    horizon_options(p)
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
@@ -138,6 +141,7 @@ def fit_options(arguments: argparse.Namespace) -> FitOptions:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, fit, validate, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.data.logs import read_logs
@@ -147,11 +151,12 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
+    from greybox.validation.advice import hints_of_checks, hints_of_fit
     from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
     say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
-    horizons = _horizons(arguments.horizons)
+    horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
     test = (
@@ -172,6 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
+    say_vehicle(vehicle, say)
     say(f"{train}")
 
     def progress(iteration: int, cost: float, decrement: float) -> None:
@@ -200,8 +206,16 @@ def run(arguments: argparse.Namespace) -> int:
     content = save(result)
     validated = test if test.flights else train
     checked: dict[str, Any] | None = None
+    table = ""
     try:
-        checked = validate(result.model, validated, horizons=horizons, adapt=arguments.adapt).to_dict()
+        hints = (
+            *hints_of_checks(faults, effects=result.model.effects, kinematic_noise=arguments.kinematic_noise),
+            *hints_of_fit(result),
+        )
+        seen = validate(result.model, validated, **horizons, adapt=arguments.adapt, hints=hints)
+        result = result.judged(seen.verdict)
+        content = save(result)
+        checked, table = seen.to_dict(), seen.table_text()
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
@@ -211,6 +225,7 @@ def run(arguments: argparse.Namespace) -> int:
             checked.setdefault("warnings", []).insert(
                 0, "validated on the flights that were fitted: give --test flights"
             )
+            table = ""
         write_json(out / "validate.json", checked)
     else:
         (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
@@ -225,8 +240,10 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, content)
     if not quiet:
         print(result.summary())
+        if table:
+            print(f"{table}\n")
         print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
-    return 0 if result.converged else 1
+    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
 
 def _solver(name: str, limit: int | None) -> str | Solver:
@@ -237,18 +254,6 @@ def _solver(name: str, limit: int | None) -> str | Solver:
     if name not in SOLVERS:
         raise UnknownNameError("solver", name, SOLVERS)
     return name if limit is None else SOLVERS[name](max_iterations=limit)
-
-
-def _horizons(text: str) -> tuple[int, ...]:
-    from greybox.errors import GreyboxError
-
-    try:
-        values = tuple(sorted({int(part) for part in names(text)}))
-    except ValueError:
-        values = ()
-    if not values or values[0] < 1:
-        raise GreyboxError("horizons must be whole numbers of samples", got=f"'{text}'", fix="--horizons 1,10,50")
-    return values
 
 
 def series(

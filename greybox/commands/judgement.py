@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+import argparse
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.model.verdict import Verdict
 
 
 def tell(report: Any, json: str | None) -> int:
@@ -19,3 +26,77 @@ def tell(report: Any, json: str | None) -> int:
             write_json(json, report.to_dict())
         print(report.summary())
     return 0 if report.ok else 1
+
+
+def horizon_options(p: Any) -> None:
+    """Declare --horizons (seconds) and --horizons-samples."""
+    from greybox.validation.horizons import HORIZONS
+
+    default = ",".join(f"{h:g}" for h in HORIZONS)
+    p.add_argument("--horizons", default=default, metavar="S,...", help="seconds ahead to list (default %(default)s)")
+    p.add_argument(
+        "--horizons-samples", default=None, metavar="N,...", help="numbers of samples ahead, instead of seconds"
+    )
+
+
+def given_horizons(arguments: argparse.Namespace) -> dict[str, Any]:
+    """`horizons` and `horizon_samples` as `validate` takes them. Raises `DataError` for what is neither."""
+    from greybox.validation.horizons import parse_samples, parse_seconds
+
+    samples = None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    return {"horizons": parse_seconds(arguments.horizons), "horizon_samples": samples}
+
+
+def horizon_steps(arguments: argparse.Namespace, sample_time: float) -> tuple[int, ...]:
+    """The horizons that were asked for as numbers of samples of `sample_time` [s]; what was changed is said."""
+    from greybox.validation.horizons import horizons_of, parse_samples, parse_seconds
+
+    samples = None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    found = horizons_of(parse_seconds(arguments.horizons), samples=samples, sample_time=sample_time)
+    for note in found.notes:
+        print(f"greybox: {note}", file=sys.stderr)
+    return found.steps
+
+
+def exit_code(verdict: Verdict | None) -> int:
+    """0: usable, too calm to tell, or too little data to judge (which is said); 1: not usable."""
+    return 0 if verdict is None else verdict.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """Whether a command that builds on a model goes on (`open`), and the `line` that says what the model is worth."""
+
+    open: bool
+    line: str
+
+    def say(self, command: str) -> None:
+        """Print the line on standard error; nothing where the model is of a kind that is not judged this way."""
+        if self.line:
+            print(f"greybox {command}: {self.line}", file=sys.stderr)
+
+
+def gate(content: Mapping[str, Any], path: str, *, even_so: bool) -> Gate:
+    """Judge a model file (`content`, read from `path`) by the verdict that it carries.
+
+    Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older one) passes with a warning.
+    Raises `FileFormatError` for a verdict that is incomplete.
+    """
+    from greybox.errors import FileFormatError
+    from greybox.model.identified import SCHEMA
+    from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
+
+    if content.get("schema") != SCHEMA:  # linear models have tables of their own
+        return Gate(open=True, line="")
+    base = content.get("base")
+    data = (base if isinstance(base, dict) else content).get("verdict")
+    if data is None:
+        return Gate(open=True, line=f"warning: {path}: {NOT_JUDGED}")
+    try:
+        verdict = Verdict.from_dict(data)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise FileFormatError("incomplete verdict", where=path, fix="write the file again") from None
+    if verdict.refused and not even_so:
+        return Gate(open=False, line=f"{path}: {verdict.line}. To go on all the same: --even-so")
+    mark = "" if verdict.outcome is Outcome.USABLE else "warning: "
+    return Gate(open=True, line=f"{mark}{path}: {verdict.line}")

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 
 
 def add(subparsers: Any) -> None:
@@ -15,8 +18,8 @@ def add(subparsers: Any) -> None:
         "learn",
         help="learn what a fitted model misses as a Gaussian process",
         description="Learn what a fitted model misses as a Gaussian process and calibrate its uncertainty. Writes "
-        "hybrid.json, learn.json and report.html. Exit code 0: done (also where nothing was worth learning: hybrid.json "
-        "is then the physics with calibrated uncertainty), 2: bad input.",
+        "hybrid.json, learn.json and report.html (where nothing was worth learning, hybrid.json is the physics with "
+        "calibrated uncertainty). Exit code 0: usable (or too calm to judge), 1: not usable, 2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
@@ -28,7 +31,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
                    "what it teaches holds in this room only")  # fmt: skip
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
-    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="validation horizons in samples")
+    horizon_options(p)
     p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py",
                    help="effects of your own in the model, and the laws of model_with_laws.json")  # fmt: skip
     p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
@@ -43,19 +46,19 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import is_linear, run_output
-    from greybox.commands.validate import parse_horizons
     from greybox.data import Dataset
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
+    from greybox.model.verdict import NOT_JUDGED
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import load_model, save_model
     from greybox.residual.learn import learn
     from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
-    horizons = parse_horizons(arguments.horizons)
+    horizons = given_horizons(arguments)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     points: int | str = arguments.points
@@ -109,12 +112,18 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / "learn.json", content)
     judged = test if test.flights else train
     checked: dict[str, Any] = {}
+    verdict = None
     for label, candidate in (("before", model), ("after", learned.model)):
         progress(f"validate {label}", 1.0)
         try:
-            checked[label] = validate(candidate, judged, horizons=horizons, adapt=arguments.adapt).to_dict()
+            seen = validate(candidate, judged, **horizons, adapt=arguments.adapt)
+            checked[label], verdict = seen.to_dict(), seen.verdict
         except GreyboxError as error:
             content["warnings"].append(f"no validation {label}: {error}")
+            verdict = None
+    hybrid = replace(learned.model, verdict=verdict)
+    save_model(hybrid, out / "hybrid.json")
+    content["verdict"] = None if verdict is None else verdict.to_dict()
     if not test.flights:
         content["warnings"].append("validated on the flights that were learned from: give --test flights")
     content["validation"] = checked
@@ -126,8 +135,9 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.json:
         write_json(arguments.json, content)
     if not quiet:
+        print(NOT_JUDGED if verdict is None else verdict.line)
         for warning in content["warnings"]:
             print(f"warning: {warning}")
         print(learned.summary())
         print(f"wrote hybrid.json, learn.json and {report.name} in {out}")
-    return 0
+    return exit_code(verdict)

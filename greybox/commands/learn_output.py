@@ -23,7 +23,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     """Read the linear model and the logs, learn its one-step errors, judge before and after, report."""
     import numpy as np
 
-    from greybox.commands.validate import parse_horizons
+    from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.data import Dataset
     from greybox.errors import GreyboxError
     from greybox.files import dump_json, write_atomic, write_json
@@ -35,10 +35,11 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.residual.output_residual import fit_output_residual, read_linear
 
     quiet = arguments.json == "-"
-    horizons = parse_horizons(arguments.horizons)
+    given_horizons(arguments)  # what is wrong with them is said before logs are read
     models, inputs, outputs, trained_on = read_linear(arguments.model, channels=arguments.channels)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     rate = 1.0 / models[0].dt
+    horizons = horizon_steps(arguments, models[0].dt)
     train = _flights(arguments.train, inputs, outputs, vehicle, rate, arguments.mapping)
     test = (
         _flights(arguments.test, inputs, outputs, vehicle, rate, arguments.mapping)

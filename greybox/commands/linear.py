@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.judgement import given_horizons, horizon_options, horizon_steps
+
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
@@ -40,7 +42,7 @@ def add(subparsers: Any) -> None:
     p.add_argument(
         "--adapt", type=float, default=0.0, metavar="S", help="fit state and offset of test logs on S seconds"
     )
-    p.add_argument("--horizons", default="1,10,50", metavar="1,10,50", help="prediction horizons in samples")
+    horizon_options(p)
     p.add_argument("--profile", action="store_true", help="profile likelihood intervals of all poles (takes longer)")
     p.add_argument("--out", default="greybox-linear", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
@@ -67,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
             expected="equal numbers",
             fix="mix the inputs: --inputs 'roll=u4+u3-u2-u1,...'",
         )
-    horizons = _whole_numbers(arguments.horizons, "--horizons", 1)
+    given_horizons(arguments)  # what is wrong with them is said before logs are read
     order = arguments.order if arguments.order == "auto" else _whole_numbers(arguments.order, "--order", 1)[0]
     delays = _delays(arguments.delay, len(inputs))
     if arguments.max_order < 1:
@@ -93,6 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.siso
         else [(tuple(range(len(inputs))), tuple(range(len(outputs))))]
     )
+    horizons = horizon_steps(arguments, train.dt)
     results: list[Identified] = []
     for columns, rows in groups:
         fit = _fit(arguments, train, inputs, outputs, columns, rows, order, delays)

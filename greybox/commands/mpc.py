@@ -18,8 +18,8 @@ def add(subparsers: Any) -> None:
         description="Fly controllers on an identified model through a course whose limits bind, many seeded flights "
         "each: the model alone, with limits tightened by a tube, with one constant back-off, and a cascade of "
         "PID loops. Writes "
-        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 2: bad input, 130: interrupted "
-        "(the report shows what was flown until then).",
+        "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 1: refused, "
+        "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was flown until then).",
     )
     p.add_argument("subject", metavar="MODEL.json|demo", help="model file of `greybox fit` or `learn`; demo: identify a "
                    "simulated vehicle with hidden effects from one flight first")  # fmt: skip
@@ -40,6 +40,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--risk", choices=("rehearsal", "boole"), default="rehearsal", help="how the level becomes a back-off: "
                    "flights against the model itself (default), or Boole's inequality over touched limits")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
+    p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write mpc.json to F ('-': standard output)")
     p.set_defaults(run=run)
@@ -61,10 +62,18 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prepare, fly, report; what was flown is reported even when interrupted."""
+    """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where it refuses."""
     from greybox.files import dump_json, write_atomic, write_json
 
     _check(arguments)
+    from greybox.commands.judgement import gate
+    from greybox.files import read_json
+
+    file = {} if arguments.subject == "demo" else read_json(arguments.subject)
+    judged = gate(file, arguments.subject, even_so=arguments.even_so)
+    if not judged.open:
+        judged.say("mpc")
+        return 1
     from greybox.report.mpc_report import format_table, mpc_report
     from scenarios.studies.demo_mpc import prepare
     from scenarios.studies.mpc_campaign import WATCHED, flights, kept, read_traces
@@ -85,6 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         risk=arguments.risk,
         flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
     )  # fmt: skip
+    judged.say("mpc")
     campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
 
     def report(warnings: list[str]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.errors import DataError
 
 
@@ -15,14 +16,13 @@ def add(commands: Any) -> None:
         "validate",
         help="judge a model on flights that it never saw",
         description="Open-loop errors of a model over several horizons, with persistence and dead reckoning beside them, "
-        "errors one step ahead, coverage and residual tests. Exit code 0: done; 2: bad input.",
+        "errors one step ahead, coverage and residual tests. Exit code 0: usable, or too calm to judge; 1: not usable; "
+        "2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
     p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
-    p.add_argument(
-        "--horizons", default="1,10,50", metavar="H,...", help="steps ahead, in samples (default %(default)s)"
-    )
+    horizon_options(p)
     p.add_argument(
         "--adapt", type=float, metavar="S", help="fit per-flight parameters on the first S seconds of each flight"
     )
@@ -38,20 +38,9 @@ def add(commands: Any) -> None:
     p.set_defaults(run=run)
 
 
-def parse_horizons(text: str) -> tuple[int, ...]:
-    """Whole numbers from "1,10,50". Raises `DataError`."""
-    try:
-        values = tuple(int(part) for part in text.split(",") if part.strip())
-    except ValueError:
-        values = ()
-    if not values or min(values) < 1:
-        raise DataError("--horizons", expected="whole numbers of samples, such as 1,10,50", got=repr(text))
-    return values
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Validate and print. Returns 0."""
-    horizons = parse_horizons(arguments.horizons)
+    """Validate and print. Returns 0, or 1 where the model is not usable."""
+    horizons = given_horizons(arguments)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
     from greybox.data.logs import read_logs
@@ -67,14 +56,14 @@ def run(arguments: argparse.Namespace) -> int:
         trim=not arguments.keep_ground, mapping=arguments.mapping,
     )  # fmt: skip
     result = validate(
-        model, dataset, horizons=horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
+        model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
         progress=lambda line: print(line, file=sys.stderr, flush=True) if sys.stderr.isatty() else None,
     )  # fmt: skip
     if arguments.json == "-":
         sys.stdout.write(dump_json(result.to_dict()))
-        return 0
+        return exit_code(result.verdict)
     print(result.format())
     if arguments.json:
         write_json(arguments.json, result.to_dict())
         print(f"written: {arguments.json}")
-    return 0
+    return exit_code(result.verdict)

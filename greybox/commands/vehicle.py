@@ -37,11 +37,14 @@ def add(subparsers: Any) -> None:
     kinds = parser.add_subparsers(dest="vehicle_command", required=True, metavar="new|check")
     new = kinds.add_parser(
         "new",
-        help="write a vehicle file from a template, or from answers on a terminal",
-        description="Write a vehicle file. Without --template questions are asked on the terminal. Templates: "
+        help="write a vehicle file from a template, from a log, or from answers on a terminal",
+        description="Write a vehicle file. --from takes motor order, spins, arms and the hover command from a log of PX4, "
+        "Betaflight or a Crazyflie, and says what you must measure. Without --template and --from questions are asked on "
+        "the terminal. Templates: "
         + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
     )  # fmt: skip
     new.add_argument("--template", metavar="NAME", help=", ".join(TEMPLATES))
+    new.add_argument("--from", metavar="LOG", dest="log", help="take what a log of the craft knows")
     new.add_argument("--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="changes",
                      help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine")  # fmt: skip
     new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
@@ -63,7 +66,6 @@ def run_new(arguments: argparse.Namespace) -> int:
     from pathlib import Path
 
     from greybox.errors import VehicleError
-    from greybox.files import write_atomic
     from greybox.model.vehicle_template import TEMPLATES as KNOWN
     from greybox.model.vehicle_template import settings, vehicle_text
 
@@ -71,6 +73,10 @@ def run_new(arguments: argparse.Namespace) -> int:
         raise VehicleError("the file exists", where=arguments.out, fix="choose another --out, or add --force")
     changes = settings(arguments.changes)
     name = arguments.template
+    if arguments.log:
+        if name is not None:
+            raise VehicleError("--from and --template exclude each other", fix="give one of the two")
+        return _tell(_from_log(arguments.log, changes), arguments.out)
     if name is None:
         if not sys.stdin.isatty():
             raise VehicleError(
@@ -83,13 +89,29 @@ def run_new(arguments: argparse.Namespace) -> int:
         except EOFError:
             raise VehicleError("the answers ended before the questions", fix="answer all, or use --template") from None
         changes = answers | changes
-    text = vehicle_text(name, changes)
-    if not arguments.out:
+    return _tell(vehicle_text(name, changes), arguments.out)
+
+
+def _from_log(log: str, changes: dict[str, Any]) -> str:
+    """The file from a log; says on standard error what the log knew and what must be measured."""
+    from greybox.model.vehicle_from_log import vehicle_from_log
+
+    found = vehicle_from_log(log, changes)
+    for line in found.known:
+        print(f"from the log: {line}", file=sys.stderr)
+    for line in found.to_measure:
+        print(f"to measure: {line}", file=sys.stderr)
+    return found.text
+
+
+def _tell(text: str, out: str | None) -> int:
+    """Write the file, or print it. Returns 0. Raises `OutputError`."""
+    from greybox.files import write_atomic
+
+    if not out:
         print(text, end="")
         return 0
-    print(
-        f"wrote {write_atomic(arguments.out, text)}; now weigh, measure and run: greybox vehicle check {arguments.out}"
-    )
+    print(f"wrote {write_atomic(out, text)}; now weigh, measure and run: greybox vehicle check {out}")
     return 0
 
 

@@ -232,7 +232,7 @@ def solve(task: Task, data: Dataset) -> Refit:
     with threadpool_limits(limits=1):
         problem = make_problem(_canonical(task.model), data, task.options)
         offered = [_vector(problem, k) for k in task.starts] or [noise_start(problem)]
-        starts = [np.clip(t, problem.lower, problem.upper) for t in offered]
+        starts = [problem.inside(t) for t in offered]
         start = min(starts, key=lambda t: problem.evaluate(t, 0).cost) if len(starts) > 1 else starts[0]
         solver = LevenbergMarquardt(
             tolerance=task.tolerance, max_iterations=task.iterations, initial_damping=task.damping, target=task.target

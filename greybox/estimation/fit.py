@@ -82,7 +82,7 @@ def fit(
             start = _initialise(problem, options, solver)
         start = predictor.approach(problem, start, progress)  # multiple shooting closes its gaps first
         try:
-            theta, status = solver.solve(problem, start, progress)
+            theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
         result = _finish(problem, data, theta, status, began, _settings(problem, options))
@@ -113,7 +113,7 @@ def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatA
         return init.noise_start(problem)
     if how == "equation-error":
         try:
-            start = init.equation_error(problem)
+            start = problem.inside(init.equation_error(problem))
             start = init.noise_start(problem, start) if problem.predictor.has_noise else start
         except FitError:
             return problem.start

@@ -66,7 +66,7 @@ def random_start(problem: Problem, rng: np.random.Generator, base: FloatArray, w
                     out[i] = u.lower + (u.upper - u.lower) * draw[1]
             else:
                 out[i] += width * u.scale * draw[0]
-    return np.clip(out, problem.lower, problem.upper)
+    return problem.inside(out)
 
 
 def multistart(

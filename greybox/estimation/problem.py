@@ -22,6 +22,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.engine import Engine, engine_for
+from greybox.estimation.feasible import Body, bodies_of, moved_inside, wall
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
@@ -102,8 +103,8 @@ class Problem:
 
     @property
     def start(self) -> FloatArray:
-        """Start values."""
-        return np.array([u.start for u in self.unknowns])
+        """Start values, with inertia that a body can have."""
+        return moved_inside(self.bodies, np.array([u.start for u in self.unknowns]), self.lower, self.upper)
 
     @property
     def lower(self) -> FloatArray:
@@ -187,8 +188,20 @@ class Problem:
 
     # ------------------------------------------------------------ cost
 
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies whose inertia is estimated."""
+        return bodies_of(self)
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        """`theta` (n,) moved to where it can be: within its bounds, with inertia that a body can have."""
+        return moved_inside(self.bodies, theta, self.lower, self.upper)
+
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
         """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that many samples."""
+        limit = wall(self.bodies, theta)
+        if not np.isfinite(limit.cost):
+            return Value(cost=np.inf, likelihood=np.inf, valid=False)
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
@@ -200,13 +213,13 @@ class Problem:
         mean = np.array([u.mean for u in self.unknowns])
         precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns])
         off = np.where(precision > 0, theta - mean, 0.0)
-        cost = value.cost + 0.5 * float((precision * off * off).sum())
+        cost = value.cost + limit.cost + 0.5 * float((precision * off * off).sum())
         if order == 0:
             return Value(cost=cost, likelihood=value.cost)
         assert value.gradient is not None and value.hessian is not None
         return Value(
-            cost=cost, likelihood=value.cost, gradient=value.gradient + precision * off,
-            hessian=value.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
+            cost=cost, likelihood=value.cost, gradient=value.gradient + limit.gradient + precision * off,
+            hessian=value.hessian + limit.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
         )  # fmt: skip
 
     def map_records(self, work: Callable[[int], Block]) -> Iterator[Block]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from greybox.estimation.status import Status
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
+from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.fit/1"
@@ -106,6 +107,20 @@ class Fit:
     estimates: Estimates
     diagnostics: Diagnostics
     provenance: Provenance
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the model is useful, as flights judged it; None where nobody did."""
+        return self.model.verdict
+
+    def judged(self, verdict: Verdict | None) -> Fit:
+        """The same fit with the verdict of a validation (`greybox.validation.validate`)."""
+        model = replace(self.model, verdict=verdict)
+        return replace(self, estimates=replace(self.estimates, model=model))
+
+    def __repr__(self) -> str:
+        line = NOT_JUDGED if self.verdict is None else self.verdict.line
+        return f"{line}\nFit({self.model.name}, {len(self.parameters)} parameters, {len(self.flights)} flights)"
 
     @property
     def model(self) -> IdentifiedModel:
@@ -238,6 +253,7 @@ class Fit:
         physics = physics_of(d)
         return {
             "schema": SCHEMA,
+            "verdict": None if self.verdict is None else self.verdict.to_dict(),
             "model": {
                 "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
                 "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
@@ -267,8 +283,8 @@ class Fit:
         self.model.save(f"{folder}/model.json")
 
     def summary(self) -> str:
-        """The estimates as text, status first."""
-        lines = [self.status.advice]
+        """The estimates as text: the verdict first, then how the solver ended."""
+        lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"

@@ -30,6 +30,7 @@ from greybox.model.parameter import ParameterValues
 from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
+from greybox.model.verdict import Verdict
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
@@ -60,7 +61,8 @@ class IdentifiedModel:
     `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
     `horizon_noise` (n_w) replaces `process_noise` where uncertainty is propagated without
-    measurements (calibrated on multi-step errors); None: the same.
+    measurements (calibrated on multi-step errors); None: the same. `verdict` says what judging it
+    on flights found, None where nobody did (or it was changed since).
     """
 
     dynamics: Dynamics
@@ -80,6 +82,7 @@ class IdentifiedModel:
     data_hash: str = ""
     trained_on: tuple[str, ...] = ()
     source: str = ""
+    verdict: Verdict | None = None
 
     @property
     def name(self) -> str:
@@ -134,8 +137,8 @@ class IdentifiedModel:
         return self.parameter_vector(self.per_flight.get(flight))
 
     def with_values(self, changes: Mapping[str, float]) -> IdentifiedModel:
-        """A copy with some values changed."""
-        return replace(self, values=self.values.replace(changes))
+        """A copy with some values changed, which nobody has judged."""
+        return replace(self, values=self.values.replace(changes), verdict=None)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values of the model file. Raises `ModelError` for a model that is not made of
@@ -202,6 +205,7 @@ class IdentifiedModel:
             "domain": {k: list(v) for k, v in self.domain.items()},
             "data_hash": self.data_hash,
             "trained_on": list(self.trained_on),
+            **({} if self.verdict is None else {"verdict": self.verdict.to_dict()}),
             "versions": library_versions(),
         }
         return {**body, "checksum": checksum({k: v for k, v in body.items() if k != "versions"})}
@@ -304,6 +308,7 @@ class IdentifiedModel:
                 data_hash=str(data["data_hash"]),
                 trained_on=tuple(data["trained_on"]),
                 source=where,
+                verdict=None if data.get("verdict") is None else Verdict.from_dict(data["verdict"]),
             )
             _check(model)
         except (

@@ -1,6 +1,8 @@
-"""Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema "greybox.vehicle/1").
+"""Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema "greybox.vehicle/2").
 
-A number is exact (sigma 0) or a prior (value and one standard deviation). SI units; body axes FLU from the body origin.
+A number is exact (sigma 0) or a prior (value and one standard deviation). One that states no sigma is believed within the
+default of its quantity (see `beliefs`); in files of schema "greybox.vehicle/1" it is exact. SI units; body axes FLU from
+the body origin.
 The file is long because the class is one thing: the same tables are read, checked and written.
 """
 
@@ -11,8 +13,8 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -22,9 +24,15 @@ from greybox.data.channel import TIME, ColumnSpec, canonical_names, is_canonical
 from greybox.errors import FileFormatError, UnknownNameError, VehicleError
 from greybox.files import read_limited
 from greybox.frames import GRAVITY
+from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.toml_table import TomlTable, describe
 
-SCHEMA = "greybox.vehicle/1"
+SCHEMA = "greybox.vehicle/2"
+EXACT_SCHEMA = "greybox.vehicle/1"
+"""Schema of older files, in which a number without a sigma is exact and bounds are four sigma."""
+SCHEMAS = (EXACT_SCHEMA, SCHEMA)
+ASSUMED = "default_sigma"
+"""Key of a written vehicle: names of the numbers whose sigma nobody stated."""
 NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage", "rotor_speed")
 """Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s. Other names belong to sensors of the user's own."""
 MISSPELT = 0.8
@@ -84,7 +92,8 @@ class Vehicle:
     """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx, Jyy, Jzz.
 
     `effects` maps effect names to their parameters (the model's catalogue knows which names exist); `noise` has the
-    known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log keeps the canonical channels.
+    known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log keeps the canonical channels. `assumed`
+    names the numbers whose sigma is the default of their quantity; `schema` is that of the file.
     """
 
     name: str
@@ -100,6 +109,8 @@ class Vehicle:
     nominal_voltage: float | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
     columns: Mapping[str, ColumnSpec] = field(default_factory=dict)
+    assumed: frozenset[str] = frozenset()
+    schema: str = EXACT_SCHEMA
 
     def __post_init__(self) -> None:
         for key in ("effects", "noise", "columns"):
@@ -127,7 +138,7 @@ class Vehicle:
     @property
     def arm_length(self) -> float:
         """Longest horizontal distance of a hub from the body origin [m] (a scale, never a parameter)."""
-        return max(float(np.hypot(r.position[0], r.position[1])) for r in self.rotors) or 0.1
+        return _arm_length(self.rotors)
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -140,8 +151,24 @@ class Vehicle:
         out.update({f"center_of_mass.{axis}": q for axis, q in zip("xyz", self.center_of_mass, strict=True)})
         return out
 
+    @property
+    def beliefs(self) -> Beliefs:
+        """How sure the file is of every number, for people; `arm` is no parameter, its error ends up in the inertia."""
+        arm = self.arm_length
+        named = {**self.quantities, **_of_effects(self.effects)}
+        entries = [self._belief(name, q) for name, q in named.items()]
+        if self.schema != EXACT_SCHEMA:
+            sigma = default_sigma("arm", arm, arm)
+            entries.insert(1, Belief(quantity="arm", value=arm, sigma=sigma, why="default"))
+        return Beliefs(entries=tuple(entries))
+
+    def _belief(self, name: str, quantity: Quantity) -> Belief:
+        why: Why = "exact" if quantity.exact else "default" if name in self.assumed else "stated"
+        return Belief(quantity=name, value=quantity.value, sigma=quantity.sigma, why=why)
+
     def to_dict(self) -> dict[str, Any]:
         """The vehicle as plain values in the shape of its TOML file; `from_dict` reads it back exactly."""
+        bare = self.schema == EXACT_SCHEMA  # where a number without sigma is exact
         actuator: dict[str, Any] = {
             "u_min": self.actuator.u_min,
             "u_max": self.actuator.u_max,
@@ -154,17 +181,17 @@ class Vehicle:
             actuator[key] = [q.value for q in getattr(self.actuator, key)]
             actuator[f"{key}_sigma"] = [q.sigma for q in getattr(self.actuator, key)]
         out: dict[str, Any] = {
-            "schema": SCHEMA,
+            "schema": self.schema,
             "name": self.name,
             "gravity": self.gravity,
-            "mass": _plain(self.mass),
+            "mass": _plain(self.mass, bare),
             "inertia": [list(row) for row in self.inertia],
             "inertia_sigma": list(self.inertia_sigma),
-            "center_of_mass": [_plain(q) for q in self.center_of_mass],
+            "center_of_mass": [_plain(q, bare) for q in self.center_of_mass],
             "imu_position": list(self.imu_position),
             "rotor": [{"position": list(r.position), "spin": r.spin} for r in self.rotors],
             "actuator": actuator,
-            "effects": {k: {n: _plain(q) for n, q in v.items()} for k, v in self.effects.items()},
+            "effects": {k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()},
             "noise": dict(self.noise),
             "columns": {
                 k: {"name": c.name, "scale": c.scale, "offset": c.offset, "causal": c.causal}
@@ -173,6 +200,8 @@ class Vehicle:
         }
         if self.nominal_voltage is not None:
             out["battery"] = {"nominal_voltage": self.nominal_voltage}
+        if self.assumed:
+            out[ASSUMED] = sorted(self.assumed)
         return out
 
     @staticmethod
@@ -185,7 +214,7 @@ class Vehicle:
 
 
 def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
-    """Read a vehicle file (TOML, schema "greybox.vehicle/1").
+    """Read a vehicle file (TOML, schema "greybox.vehicle/2"; files of "greybox.vehicle/1" keep their meaning).
 
     Raises `VehicleError` naming file and key: no such file, TOML syntax (with line), missing key, wrong type,
     inertia that no body can have, zero mass, no rotor, u_min >= u_max, negative sigma; `UnknownNameError` for a key
@@ -216,29 +245,66 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     return Vehicle.from_dict(data, where=where)
 
 
-def _plain(quantity: Quantity) -> float | dict[str, float]:
-    return quantity.value if quantity.exact else {"value": quantity.value, "sigma": quantity.sigma}
+def _plain(quantity: Quantity, bare: bool) -> float | dict[str, float]:
+    """As in a file; `bare` says that a number without sigma is exact there."""
+    return quantity.value if quantity.exact and bare else {"value": quantity.value, "sigma": quantity.sigma}
 
 
-def _quantity(table: TomlTable, key: str, value: Any) -> Quantity:
+def _arm_length(rotors: Iterable[Rotor]) -> float:
+    return max(float(np.hypot(r.position[0], r.position[1])) for r in rotors) or 0.1
+
+
+def _of_effects(effects: Mapping[str, Mapping[str, Quantity]]) -> dict[str, Quantity]:
+    """Parameters of the known effects under the names that the model gives them."""
+    return {f"{name}.{short}": q for name, given in effects.items() for short, q in given.items()}
+
+
+class _Silent:
+    """What a number without a sigma means in one file, and the names of those that got the default of their quantity."""
+
+    def __init__(self, schema: str, arm: float, labelled: Iterable[str]) -> None:
+        self._exact, self._arm = schema == EXACT_SCHEMA, arm
+        self.assumed = set(labelled)
+
+    def sigma(self, name: str, value: float) -> float:
+        """Standard deviation of a number that states none."""
+        sigma = 0.0 if self._exact else default_sigma(name, value, self._arm)
+        if sigma > 0:
+            self.assumed.add(name)
+        return sigma
+
+
+def _quantity(table: TomlTable, key: str, value: Any, name: str, silent: _Silent) -> Quantity:
+    """The number at `key`, which is the quantity `name`."""
     if not isinstance(value, Mapping):
-        return Quantity(value=table.checked_number(key, value))
+        number = table.checked_number(key, value)
+        return Quantity(value=number, sigma=silent.sigma(name, number))
     inner = TomlTable(value, file=table.file, path=f"{table.path}.{key}" if table.path else key)
     inner.known(("value", "sigma"))
-    return Quantity(value=inner.number("value"), sigma=inner.number("sigma", 0.0, minimum=0.0))
+    number = inner.number("value")
+    if "sigma" not in inner:
+        return Quantity(value=number, sigma=silent.sigma(name, number))
+    return Quantity(value=number, sigma=inner.number("sigma", minimum=0.0))
 
 
-def _quantities(table: TomlTable, key: str, default: Any = None) -> Quantity3:
+def _quantities(
+    table: TomlTable, key: str, names: tuple[str, str, str], silent: _Silent, default: Any = None
+) -> Quantity3:
     """Three numbers with sigmas, from `key` (numbers or value-sigma tables) and the optional `key_sigma`."""
     values = table.array(key, 3) if default is None else table.array(key, 3, default)
-    read = [_quantity(table, f"{key}[{i}]", v) for i, v in enumerate(values)]
     sigma_key = f"{key}_sigma"
-    if sigma_key in table:
-        if any(not q.exact for q in read):
-            raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
-        sigmas = _sigmas(table, sigma_key)
-        read = [Quantity(value=q.value, sigma=s) for q, s in zip(read, sigmas, strict=True)]
-    return read[0], read[1], read[2]
+    if sigma_key not in table:
+        x, y, z = (
+            _quantity(table, f"{key}[{i}]", v, name, silent)
+            for i, (v, name) in enumerate(zip(values, names, strict=True))
+        )
+        return x, y, z
+    exact = _Silent(EXACT_SCHEMA, 0.0, ())
+    read = [_quantity(table, f"{key}[{i}]", v, "", exact) for i, v in enumerate(values)]
+    if any(not q.exact for q in read):
+        raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
+    x, y, z = (Quantity(value=q.value, sigma=s) for q, s in zip(read, _sigmas(table, sigma_key), strict=True))
+    return x, y, z
 
 
 def _sigmas(table: TomlTable, key: str) -> Vector3:
@@ -253,7 +319,7 @@ def _vector(table: TomlTable, key: str, default: Any = None) -> Vector3:
     return x, y, z
 
 
-def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
+def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
     rows = []
     for i, row in enumerate(top.array("inertia", 3)):
         if not isinstance(row, list) or len(row) != 3:
@@ -284,6 +350,9 @@ def _inertia(top: TomlTable) -> tuple[Matrix3, Vector3]:
             expected="the largest at most the sum of the other two",
             fix="check the units and exponents of the three moments",
         )
+    if "inertia_sigma" not in top:
+        xx, yy, zz = (silent.sigma(f"inertia.{a}{a}", rows[i][i]) for i, a in enumerate("xyz"))
+        sigma = xx, yy, zz
     return (rows[0], rows[1], rows[2]), sigma
 
 
@@ -306,14 +375,14 @@ def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
     return tuple(rotors)
 
 
-def _actuator(table: TomlTable) -> Actuator:
+def _actuator(table: TomlTable, silent: _Silent) -> Actuator:
     table.known(
         ("u_min", "u_max", "hold", "rotor_radius", "speed_max", "thrust", "thrust_sigma", "torque", "torque_sigma")
     )
     u_min, u_max = table.number("u_min", 0.0), table.number("u_max", 1.0)
     if not u_min < u_max:
         raise table.error("u_min", f"{u_min:g} is not below u_max {u_max:g}", fix="give the command range in order")
-    thrust = _quantities(table, "thrust")
+    thrust = _quantities(table, "thrust", ("thrust.c0", "thrust.c1", "thrust.c2"), silent)
     c0, c1, c2 = (q.value for q in thrust)
     full = c0 + u_max * (c1 + u_max * c2)  # a product never raises OverflowError, a power does
     if not full > 0:
@@ -330,7 +399,7 @@ def _actuator(table: TomlTable) -> Actuator:
         rotor_radius=table.number("rotor_radius", positive=True) if "rotor_radius" in table else None,
         speed_max=table.number("speed_max", positive=True) if "speed_max" in table else None,
         thrust=thrust,
-        torque=_quantities(table, "torque"),
+        torque=_quantities(table, "torque", ("torque.c0", "torque.c1", "torque.c2"), silent),
     )
 
 
@@ -373,10 +442,9 @@ def _names_own_sensor(key: str) -> bool:
 
 def _vehicle(top: TomlTable) -> Vehicle:
     schema = top.get("schema")
-    if schema != SCHEMA:
-        raise top.error(
-            "schema", "wrong schema", expected=f'"{SCHEMA}"', got=repr(schema), fix="update the vehicle file"
-        )
+    if schema not in SCHEMAS:
+        expected = " or ".join(f'"{s}"' for s in SCHEMAS)
+        raise top.error("schema", "wrong schema", expected=expected, got=repr(schema), fix="update the vehicle file")
     top.known(
         (
             *(
@@ -390,34 +458,51 @@ def _vehicle(top: TomlTable) -> Vehicle:
                 "center_of_mass_sigma",
             ),
             *("imu_position", "rotor", "actuator", "effects", "battery", "noise", "columns"),
+            *((ASSUMED,) if schema == SCHEMA else ()),
         )
     )
-    mass = _quantity(top, "mass", top.get("mass"))
+    rotors = _rotors(top)
+    labelled = [str(name) for name in top.array(ASSUMED, None, [])]
+    silent = _Silent(schema, _arm_length(rotors), labelled)
+    mass = _quantity(top, "mass", top.get("mass"), "mass", silent)
     if not mass.value > 0:
         raise top.error("mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg")
-    inertia, inertia_sigma = _inertia(top)
-    rotors = _rotors(top)
+    inertia, inertia_sigma = _inertia(top, silent)
     effects_table = top.table("effects", {})
     effects = {}
     for name in effects_table.value:
         one = effects_table.table(name)
-        effects[name] = MappingProxyType({k: _quantity(one, k, v) for k, v in one.value.items()})
+        effects[name] = MappingProxyType(
+            {k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()}
+        )
     noise = top.table("noise", {})
     noise.known((*NOISES, *(k for k in noise.value if _names_own_sensor(k))))
     battery = top.table("battery", {})
     battery.known(("nominal_voltage",))
-    return Vehicle(
+    vehicle = Vehicle(
         name=top.text("name", "vehicle"),
         gravity=top.number("gravity", GRAVITY, positive=True),
         mass=mass,
         inertia=inertia,
         inertia_sigma=inertia_sigma,
-        center_of_mass=_quantities(top, "center_of_mass", [0.0, 0.0, 0.0]),
+        center_of_mass=_quantities(
+            top,
+            "center_of_mass",
+            ("center_of_mass.x", "center_of_mass.y", "center_of_mass.z"),
+            silent,
+            [0.0, 0.0, 0.0],
+        ),
         imu_position=_vector(top, "imu_position", [0.0, 0.0, 0.0]),
         rotors=rotors,
-        actuator=_actuator(top.table("actuator")),
+        actuator=_actuator(top.table("actuator"), silent),
         effects=effects,
         nominal_voltage=battery.number("nominal_voltage", positive=True) if "nominal_voltage" in battery else None,
         noise={k: noise.number(k, positive=True) for k in noise.value},
         columns=_columns(top.table("columns", {}), len(rotors)),
+        schema=schema,
     )
+    known = {**vehicle.quantities, **_of_effects(effects)}
+    for label in labelled:
+        if label not in known:
+            raise UnknownNameError("quantity", label, known, where=top.place(ASSUMED))
+    return replace(vehicle, assumed=frozenset(silent.assumed))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import UnknownNameError, VehicleError
+from greybox.model.beliefs import default_sigma
 from greybox.model.vehicle import Vehicle
 
 TEMPLATES = ("crazyflie", "racer250", "duckiedrone", "x", "plus")
@@ -71,7 +72,7 @@ def vehicle_text(name: str, changes: Mapping[str, Any]) -> str:
         _assign(data, key, value, notes)
     out = text
     for place, note in notes.items():
-        out = _write(out, place, _value_at(data, place), note)
+        out = written(out, place, _value_at(data, place), note)
     Vehicle.from_dict(tomllib.loads(out), where=f"template {name}")
     return out
 
@@ -90,7 +91,7 @@ def _resize(name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: 
     if "mass" in sizes:
         data["mass"] = {"value": _round(mass * heavier), "sigma": _round(sigma * heavier)}
         notes["mass"] = "kg, given"
-    arm = max(float(np.hypot(*r["position"][:2])) for r in data["rotor"])
+    arm = _arm(data)
     longer = sizes.get("arm", arm) / arm
     if "arm" in sizes:
         for i, rotor in enumerate(data["rotor"]):
@@ -117,6 +118,11 @@ def _resize(name: str, data: dict[str, Any], sizes: Mapping[str, float], notes: 
         _scale(actuator, "torque", maps * wider, notes, "N m per rotor, scaled with the thrust", "actuator.")
 
 
+def _arm(data: Mapping[str, Any]) -> float:
+    """Longest arm [m] of a parsed file."""
+    return max(float(np.hypot(*r["position"][:2])) for r in data["rotor"])
+
+
 def _scale(table: dict[str, Any], key: str, factor: float, notes: dict[str, str], note: str, prefix: str = "") -> None:
     for k in (key, f"{key}_sigma"):
         table[k] = (np.array(table[k]) * factor).tolist()
@@ -137,7 +143,8 @@ def _assign(data: dict[str, Any], key: str, value: Any, notes: dict[str, str]) -
         table, prefix = (data["actuator"], "actuator.") if head in ("thrust", "torque") else (data, "")
         number = _number(key, value)
         i = unit[head].index(tail) if head != "inertia" else AXES.index(tail[0])
-        sigmas = table.setdefault(f"{head}_sigma", [0.0, 0.0, 0.0])
+        silent = [default_sigma(f"{head}.{t}", 0.0, _arm(data)) for t in unit[head][:3]]
+        sigmas = table.setdefault(f"{head}_sigma", silent)
         if wants_sigma:
             if head == "inertia" and tail[0] != tail[1]:
                 raise VehicleError("products of inertia have no sigma", where=f"--set {key}", fix="leave it out")
@@ -209,7 +216,7 @@ def _toml(value: Any) -> str:
     return repr(value)
 
 
-def _write(text: str, place: str, value: Any, note: str) -> str:
+def written(text: str, place: str, value: Any, note: str) -> str:
     """`text` with the value of one key replaced, or added at the end of its table. Every key of a template is one line."""
     path, _, key = place.rpartition(".")
     line = f"{key} = {_toml(value)}  # {note}"

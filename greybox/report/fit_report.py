@@ -9,7 +9,7 @@ from typing import Any
 from greybox.report import figures
 from greybox.report.flight_section import FlightSeries, flight_section
 from greybox.report.html import Cell, Key, Report, Share, Tag
-from greybox.report.validation_sections import horizon_section, residual_section
+from greybox.report.validation_sections import first_line, horizon_section, residual_section
 from greybox.report.words import interval, number, rounded, strong_correlations
 
 _SHOWN = 40
@@ -33,6 +33,7 @@ def fit_report(
         f"{count} flight{'s' * (count != 1)}, {number(seconds, 3)} s of data, {len(fit['parameters'])} parameters"
     )
     report = Report(title or f"Fit of {model['name']}", subtitle)
+    first_line(report, fit.get("verdict"))
     if not status["converged"]:
         report.warning(f"The fit did not converge: {status['advice']}")
     texts = [*fit.get("warnings", []), *fit.get("unidentifiable", []), *(validation or {}).get("warnings", [])]
@@ -201,6 +202,10 @@ def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] 
     bound = [n for n, p in parameters.items() if p.get("at_bound")]
     prior = [n for n, p in parameters.items() if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")]
     texts = []
+    verdict = fit.get("verdict") or {}
+    if verdict.get("action"):
+        reason = verdict["reason"]
+        texts.append(f"{reason[:1].upper()}{reason[1:]}. Next: {verdict['action']} ({verdict['anchor']}).")
     if not fit["status"]["converged"]:
         texts.append("Do not use these numbers yet: follow the advice above until the fit converges.")
     if bound:

@@ -66,16 +66,24 @@ def _cell(value: Cell) -> str:
 
 
 class Report:
-    """Collects the parts of a report in order; `html()` gives the page. Warnings stand first on it, whenever added."""
+    """Collects the parts of a report in order; `html()` gives the page.
+
+    The first line and then the warnings stand first on it, whenever added.
+    """
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self._title, self._subtitle = title, subtitle
+        self._first = ""
         self._warnings: list[str] = []
         self._sections: list[str] = []
         self._parts: list[str] = []
         self._figures = 0
         self._scripts: list[str] = []
         self._css = CSS
+
+    def first_line(self, text: str, *, good: bool) -> None:
+        """What the page says first: its result in one line, and whether it is as it should be."""
+        self._first = f'<p class="{"good" if good else "bad"}"><strong>{escape(text)}</strong></p>'
 
     def warning(self, text: str) -> None:
         """Add a warning to the box at the top of the page."""
@@ -206,7 +214,7 @@ class Report:
             '<meta name="viewport" content="width=device-width, initial-scale=1"/>\n'
             f"<title>{title}</title>\n<style>{self._css}</style>\n</head>\n<body>\n"
             '<a class="skip" href="#main">Skip to the report</a>\n'
-            f'<main id="main">\n<header><h1>{title}</h1>{subtitle}</header>\n{warnings}\n{contents}\n'
+            f'<main id="main">\n<header><h1>{title}</h1>{subtitle}</header>\n{self._first}\n{warnings}\n{contents}\n'
             + "\n".join(self._parts)
             + f"\n</main>{scripts}\n</body>\n</html>\n"
         )

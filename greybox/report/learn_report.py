@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
+from greybox.report.validation_sections import first_line
 from greybox.report.words import number
 
 HONEST = (0.88, 0.99)
@@ -25,6 +26,7 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     Raises `KeyError` where a required field is missing.
     """
     report = Report(title or f"What {content['model']} misses", _subtitle(content))
+    first_line(report, content.get("verdict"))
     validation = content.get("validation") or {}
     texts = [*content.get("warnings", [])]
     texts += [f"{label}: {w}" for label, v in validation.items() for w in v.get("warnings", [])]

@@ -37,6 +37,8 @@ none; } :focus-visible { outline: 3px solid var(--c1); outline-offset: 2px; }
   background: var(--warn-ground); padding: .7rem 1rem; margin: 1rem 0; max-width: 60rem; }
 .warnings h2 { border: 0; margin: 0; padding: 0; font-size: 1rem; color: var(--warn); }
 .warnings ul { margin: .3rem 0 0; padding-left: 1.2rem; max-width: none; }
+.bad { border-left: 5px solid var(--warn-line); background: var(--raised); padding: .6rem 1rem;
+  max-width: 60rem; }
 .good { border-left: 5px solid var(--c3); background: var(--raised); padding: .6rem 1rem; max-width: 60rem; }
 .scroll { overflow-x: auto; margin: .8rem 0 .3rem; max-width: 100%; }
 table { border-collapse: collapse; font-size: .9rem; line-height: 1.4; }

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
+from greybox.validation.usefulness import in_words
 
 ROWS = (
     ("model", "model", SERIES[0], "-", Key(text="model", colour="c1")),
@@ -37,6 +39,20 @@ ROWS = (
         Key(text="dead reckoning with the measured IMU (floor)", colour="c3", stroke="dots"),
     ),
 )
+
+
+def first_line(report: Report, verdict: Mapping[str, Any] | None) -> None:
+    """The verdict on a model (as in model.json) as the first line of its report; that there is none where there is none."""
+    if verdict is None:
+        report.first_line(NOT_JUDGED, good=False)
+    else:
+        report.first_line(verdict["line"], good=verdict["outcome"] == Outcome.USABLE.value)
+
+
+def skill_in_words(report: Report, verdict: Mapping[str, Any] | None) -> None:
+    """What the model covers of the way from the last value to the measured IMU, a sentence per group."""
+    if verdict is not None:
+        report.bullets(in_words(Verdict.from_dict(verdict)))
 
 
 def _tables(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -68,6 +84,7 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
         spent = number(adapted["seconds"])
         text += f" Per-flight parameters were adapted on the first {spent} s of each flight and frozen."
     report.paragraph(text)
+    skill_in_words(report, validation.get("verdict"))
     tables = _tables(validation)
     groups = list(dict.fromkeys(g for h in validation["horizons"] for g in h["groups"]))
     units = {g: h["groups"][g]["unit"] for h in validation["horizons"] for g in h["groups"]}

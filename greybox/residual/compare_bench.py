@@ -265,7 +265,9 @@ class Bench:
         base = BasePredictor(model=model, outputs=self.outputs, adapt=self.adapt)
         mean, variance, microseconds = self.channels_of(base, self.segments)
         level = self._level(base)
-        checked = validate(model, self.test, horizons=self.horizons, adapt=self.adapt, every=self.every, skip=self.skip)
+        checked = validate(
+            model, self.test, horizon_samples=self.horizons, adapt=self.adapt, every=self.every, skip=self.skip
+        )
         if checked.dead_reckoning is not None:
             self.extra_tables["dead reckoning"] = checked.dead_reckoning
         return Outcome(

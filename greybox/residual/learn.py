@@ -159,7 +159,7 @@ def learn(
             if n not in there:
                 raise UnknownNameError("feature", n, there)
     say("disturbance states", 0.0)
-    base = disturbed_model(model, train)
+    base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
     whole = discrepancy(base, train, tuple(dict.fromkeys(n for names in sets.values() for n in names)))
     found: dict[str, GPPosterior] = {}

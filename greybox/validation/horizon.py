@@ -28,6 +28,9 @@ from greybox.validation.samples import complete_rows
 IntArray = npt.NDArray[np.int64]
 REQUIRED = 50
 """Steps that an origin must have ahead of it, and over which SimErr sums."""
+BLOCK_SECONDS = 2.0
+"""Origins of so many seconds make one block: twice the longest horizon (1 s) that is judged by blocks, so that most
+errors of one block share no sample with those of the next but one, and a flight of 40 s still has twenty."""
 
 
 def find_origins(
@@ -62,6 +65,7 @@ class _Sums:
     covered: dict[float, FloatArray]
     judged: FloatArray
     density: FloatArray
+    blocks: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     origins: int = 0
     left_out: int = 0
 
@@ -179,6 +183,10 @@ class HorizonAccumulator:
         own.diverged += diverged.sum(axis=0)
         own.absolute += norms.sum(axis=0)
         own.square += (norms * norms).sum(axis=0)
+        length = max(1, round(BLOCK_SECONDS / self.sample_time))
+        edges = np.flatnonzero(np.diff(starts // length)) + 1
+        for part, seen in zip(np.split(norms, edges), np.split(wanted, edges), strict=True):
+            own.blocks.append((part.sum(axis=0), seen.sum(axis=0).astype(np.float64)))
         if covariance is not None:
             stated = wanted & np.isfinite(covariance).all(axis=(2, 3))
             judged = stated & ~diverged
@@ -229,6 +237,8 @@ def _finish(parts: Sequence[_Sums]) -> GroupErrors:
         diverged=np.asarray(sum(p.diverged for p in parts)).astype(np.int64),
         origins=sum(p.origins for p in parts),
         left_out=sum(p.left_out for p in parts),
+        block_sums=np.array([total for p in parts for total, _ in p.blocks]),
+        block_counts=np.array([count for p in parts for _, count in p.blocks]),
         coverage=coverage,
         nlpd=nlpd,
     )

@@ -22,8 +22,11 @@ class GroupErrors:
 
     `mae` and `rmse` [unit of the group] are of the vector norm, `n` the errors behind them, `diverged` how many of
     these predictions were not finite. NaN stands where n = 0. `origins` were used and `left_out` lacked reference
-    samples. `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the stated covariance gives
-    to that level, (H,); `nlpd` (H,) is the mean negative log density of the error vectors [nat]. None: nothing stated.
+    samples. `block_sums` (B, H) are sums of the error norm over the origins of one block of consecutive time, with
+    `block_counts` errors behind them: what a standard error is made of. Predictors that were given the same origins
+    have the same blocks. `coverage` maps a level to the fraction of error vectors inside the ellipsoid that the
+    stated covariance gives to that level, (H,); `nlpd` (H,) is the mean negative log density of the error vectors
+    [nat]. None: nothing stated.
     """
 
     mae: FloatArray
@@ -32,6 +35,8 @@ class GroupErrors:
     diverged: IntArray
     origins: int
     left_out: int
+    block_sums: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    block_counts: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     coverage: Mapping[float, FloatArray] | None = None
     nlpd: FloatArray | None = None
 
@@ -131,9 +136,11 @@ def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None
     width = max(len(t.label) for t in tables)
     lines = []
     for g in tables[0].groups:
-        head = "".join(f"{f'h={h}':>10}" for h in wanted)
+        head = "".join(f"{f'{h * tables[0].sample_time:.3g} s':>10}" for h in wanted)
+        steps = "".join(f"{f'h={h}':>10}" for h in wanted)
         lines.append(f"{g} [{GROUPS[g].unit}], mean absolute error")
         lines.append(f"  {'':<{width}}{head}{'SimErr':>10}")
+        lines.append(f"  {'':<{width}}{steps}")
         for t in tables:
             if g not in t.groups:
                 continue

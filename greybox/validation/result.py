@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.validation.adapt import Adaptation
+from greybox.validation.advice import Hint
 from greybox.validation.coverage import Coverage
 from greybox.validation.cross_correlation import CrossCorrelation
 from greybox.validation.horizon_table import HorizonTable, format_tables
 from greybox.validation.metrics import ChannelMetrics
+from greybox.validation.usefulness import in_words, judge
 from greybox.validation.whiteness import Whiteness
 
 SCHEMA = "greybox.validate/1"
@@ -23,7 +26,8 @@ class Validation:
     `table` holds the model's multi-step errors from the filter's state, `persistence` and `dead_reckoning` the rows
     beside it, `measured_start` the model started from the measured state; None where there is nothing to compute.
     `one_step`, `coverage` per channel; `whiteness` and `cross_correlation` of the normalised innovations.
-    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`.
+    `adaptation` per flight, where per-flight parameters were fitted on its first `adapted_seconds`. `horizons` are the
+    samples that are listed; `verdict` is None where the flights were too short to judge.
     """
 
     model: str
@@ -42,6 +46,15 @@ class Validation:
     adapted_seconds: float | None = None
     adaptation: Mapping[str, Adaptation] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    verdict: Verdict | None = None
+
+    def judged(self, *, hints: Iterable[Hint] = (), judged_on: str | None = None) -> Validation:
+        """The same errors, judged again with `hints` and other words for what the flights are to the model."""
+        if self.verdict is None or self.table is None or self.persistence is None:
+            return self
+        words = self.verdict.judged_on if judged_on is None else judged_on
+        verdict = judge(self.table, self.persistence, self.dead_reckoning, judged_on=words, hints=hints)
+        return replace(self, verdict=verdict)
 
     @property
     def tables(self) -> tuple[HorizonTable, ...]:
@@ -63,6 +76,7 @@ class Validation:
             }  # fmt: skip
         return {
             "schema": SCHEMA,
+            "verdict": None if self.verdict is None else self.verdict.to_dict(),
             "model": {"name": self.model, "file": self.file},
             "flights": [dict(f) for f in self.flights],
             "sample_time": self.sample_time,
@@ -79,16 +93,22 @@ class Validation:
             "warnings": list(self.warnings),
         }
 
+    def table_text(self) -> str:
+        """The multi-step tables as text, "" where there are none."""
+        return format_tables(self.tables, self.horizons) if self.tables else ""
+
     def format(self) -> str:
-        """Text for the terminal: warnings first, then the multi-step tables, one-step errors and residual tests."""
-        lines = [f"warning: {w}" for w in self.warnings]
+        """Text for the terminal: the verdict, warnings, the multi-step tables, one-step errors and residual tests."""
+        lines = [NOT_JUDGED] if self.verdict is None else [self.verdict.line]
+        lines += [f"  {line}" for line in in_words(self.verdict)] if self.verdict is not None else []
+        lines += [f"warning: {w}" for w in self.warnings]
         lines.append(f"{self.model}: {len(self.flights)} flight(s), {sum(f['seconds'] for f in self.flights):.0f} s")
         if self.adapted_seconds is not None:
             lines.append(
                 f"per-flight parameters adapted on the first {self.adapted_seconds:g} s of each flight, then frozen"
             )
         if self.tables:
-            lines += ["", format_tables(self.tables, self.horizons)]
+            lines += ["", self.table_text()]
         if self.one_step:
             lines += ["", "one step ahead" + " " * 6 + f"{'RMSE':>11}  {'R2':>7}  {'inside 95 %':>11}"]
             for name, m in self.one_step.items():

@@ -8,7 +8,7 @@ a reference, never a measurement. The rows beside each table are persistence (ce
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,19 +23,25 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import Adaptation, adapt_to_flight
+from greybox.validation.advice import Hint, Symptom
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import REQUIRED, HorizonAccumulator
 from greybox.validation.horizon_table import HorizonTable
+from greybox.validation.horizons import HORIZONS, horizons_of
 from greybox.validation.one_step import OneStep
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray
 from greybox.validation.stated import stated_covariances
+from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, Standard, judge
 
 Progress = Callable[[str], None]
-CHUNK = 4000
-"""Origins that are rolled out at once (bounds the memory)."""
+CHUNK = 200_000
+"""Steps ahead, over all origins, that are rolled out at once (bounds the memory)."""
+SPACING = 0.01
+"""Seconds between origins unless told otherwise: every sample at 100 Hz, as the benchmark counts; at higher rates
+neighbours tell the same."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
 SPARSE = 0.8
@@ -46,33 +52,38 @@ def validate(
     model: IdentifiedModel,
     dataset: Dataset,
     *,
-    horizons: Sequence[int] = (1, 10, 50),
+    horizons: Sequence[float] = HORIZONS,
+    horizon_samples: Sequence[int] | None = None,
     adapt: float | None = None,
     measured_start: bool = False,
-    every: int = 1,
+    every: int | None = None,
     skip: float = START_SECONDS,
+    judged_on: str | None = None,
+    hints: Iterable[Hint] = (),
     progress: Progress | None = None,
     use_compiler: bool = True,
 ) -> Validation:
-    """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests and baselines.
+    """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests, baselines and a verdict.
 
-    `horizons` are numbers of samples. `adapt` [s]: per flight, the parameters with a value per flight and the initial
-    state are fitted on its first seconds with everything else fixed (prior: the training flights), then frozen; origins
-    start after them, and dead reckoning takes its IMU biases from the same seconds. `measured_start` adds the row that
-    starts from the measured state, smoothed velocities included, as the benchmark does. Origins are every `every`-th
-    sample, `skip` seconds after the start of a segment at the earliest. `progress` gets a line per flight. Raises
-    `DataError` (no usable flight, another sample time), `ModelError` (a smoothed channel is a measurement of the filter),
-    `FitError`.
+    `horizons` [s] are listed (`horizon_samples` instead: numbers of samples). `adapt` [s]: per flight, the
+    parameters with a value per flight and the initial state are fitted on its first seconds with everything
+    else fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning takes
+    its IMU biases from the same seconds. `measured_start` adds the row that starts from the measured state,
+    smoothed velocities included, as the benchmark does. Origins are every `every`-th sample (default: every
+    `SPACING` seconds), `skip` seconds after the start of a segment at the earliest. `judged_on` says in words
+    what the flights are to the model (default: from the names of its training flights) and `hints` what else
+    was seen; the verdict uses both. `progress` gets a line per flight. Raises `DataError` (no usable flight,
+    another sample time), `ModelError` (a smoothed channel is a measurement of the filter), `FitError`.
     """
-    wanted = tuple(sorted({int(h) for h in horizons}))
-    if not wanted or wanted[0] < 1:
-        raise DataError("horizons must be whole numbers of samples", expected="1, 10, 50", got=str(list(horizons)))
+    dt = model.sample_time
+    wanted = horizons_of(horizons, samples=horizon_samples, sample_time=dt)
     if not len(dataset):
         raise DataError("no flight to validate on")
     _demand_causal(model, dataset)
     work = _Work(
-        model=model, dataset=dataset, wanted=wanted, adapt=adapt, measured=measured_start, every=every, skip=skip,
-        use_compiler=use_compiler,
+        model=model, dataset=dataset, wanted=wanted.steps, adapt=adapt, measured=measured_start,
+        every=max(1, round(SPACING / dt)) if every is None else every, skip=skip, use_compiler=use_compiler,
+        warnings=list(wanted.notes), judged_on=judged_on, hints=tuple(hints),
     )  # fmt: skip
     for flight in dataset:
         if progress:
@@ -102,6 +113,8 @@ class _Work:
     every: int
     skip: float
     use_compiler: bool
+    judged_on: str | None
+    hints: tuple[Hint, ...]
     warnings: list[str] = field(default_factory=list)
     flights: list[dict[str, object]] = field(default_factory=list)
     adaptation: dict[str, Adaptation] = field(default_factory=dict)
@@ -110,8 +123,8 @@ class _Work:
         self.filter = Filter(self.model, use_compiler=self.use_compiler)
         self.reader = GroupReader(self.model)
         self.groups = self.reader.judged(self.dataset.any_channels)
-        self.steps = max(REQUIRED, self.wanted[-1])
         dt = self.model.sample_time
+        self.steps = max(REQUIRED, self.wanted[-1], round(Standard().longest / dt))
         share = min((_share(self.dataset, g) for g in self.groups), default=1.0)
         missing = "origin" if share >= SPARSE else "step"
         if missing == "step":
@@ -122,8 +135,11 @@ class _Work:
         }
         self.one_step = OneStep(dynamics=self.model.dynamics)
         used = sorted(set(self.dataset.names) & set(self.model.trained_on))
-        if used:
-            self.warnings.append(f"the model was fitted on {', '.join(used)}: errors there are not held-out errors")
+        if self.judged_on is None:
+            fitted = set(self.dataset.names) <= set(self.model.trained_on)
+            self.judged_on = FITTED_FLIGHTS if fitted else PARTLY_FITTED if used else TEST_FLIGHTS
+            if used:
+                self.warnings.append(f"the model was fitted on {', '.join(used)}: errors there are not held-out errors")
 
     # ------------------------------------------------------------ one flight
 
@@ -194,8 +210,9 @@ class _Work:
             return
         engine = self.filter.engine
         propagator = Propagator(self.filter, extra=spread, use_compiler=self.use_compiler)
-        for at in range(0, len(origins), CHUNK):
-            part = origins[at : at + CHUNK]
+        chunk = max(1, CHUNK // self.steps)
+        for at in range(0, len(origins), chunk):
+            part = origins[at : at + chunk]
             predicted = predict_from(engine, self.reader, filtered, part, steps=self.steps)
             self._row("model", name, predicted, references, part, self._stated(propagator, filtered, part, predicted))
             if self.measured:
@@ -296,16 +313,38 @@ class _Work:
         own = tables["model"]
         if own is not None and own.diverged:
             self.warnings.append(f"{own.diverged} open-loop predictions were not finite: their error is infinite")
+        verdict = None
+        held, floor = tables["persistence"], tables["dead reckoning"]
+        if own is not None and held is not None:
+            assert self.judged_on is not None
+            hints = list(self.hints)
+            if self.adapt is None and self.model.flight_spread and self.judged_on == TEST_FLIGHTS:
+                hints.append(Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted"))
+            try:
+                verdict = judge(own, held, floor, judged_on=self.judged_on, hints=hints)
+            except DataError as error:
+                self.warnings.append(str(error))
         whiteness, cross, said = self.one_step.tests()
         self.warnings += said
         return Validation(
-            model=self.model.name, file=self.model.source or None, flights=self.flights,
-            sample_time=self.model.sample_time, horizons=self.wanted, table=own, persistence=tables["persistence"],
-            dead_reckoning=tables["dead reckoning"], measured_start=tables["measured start"],
-            one_step=self.one_step.metrics(), whiteness=whiteness, cross_correlation=cross,
-            coverage=self.one_step.coverage(), adapted_seconds=self.adapt, adaptation=self.adaptation,
+            model=self.model.name,
+            file=self.model.source or None,
+            flights=self.flights,
+            sample_time=self.model.sample_time,
+            horizons=self.wanted,
+            table=own,
+            persistence=held,
+            dead_reckoning=floor,
+            measured_start=tables["measured start"],
+            one_step=self.one_step.metrics(),
+            whiteness=whiteness,
+            cross_correlation=cross,
+            coverage=self.one_step.coverage(),
+            adapted_seconds=self.adapt,
+            adaptation=self.adaptation,
             warnings=tuple(self.warnings),
-        )  # fmt: skip
+            verdict=verdict,
+        )
 
 
 def _has(channels: Sequence[str], *groups: str) -> bool:

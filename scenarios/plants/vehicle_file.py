@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +30,16 @@ def write_vehicle(
     known: Iterable[str] = (),
     noise: bool = True,
     speed: bool = True,
+    schema: str = "greybox.vehicle/1",
 ) -> Path:
     """Write a vehicle TOML of the file contract for this plant.
 
     errors: factors by which the nominal values are off (1.15 = the file says 15 % too much); sigma: their standard
     deviations relative to the nominal value. Keys of both: "mass", "inertia", "inertia.xx", "inertia.yy", "inertia.zz",
     "thrust", "thrust.c0" to "thrust.c2", "torque", "torque.c0" to "torque.c2"; a full name wins over its group.
-    Without a sigma a value is exact. known: names of effects that the file declares with their true parameters. noise:
-    write the sensor noise; speed: write speed_max.
+    Without a sigma a value is bare: exact in schema /1, believed within the default of its quantity in "greybox.vehicle/2",
+    where the file is what a stranger writes. known: names of effects that the file declares with their true parameters.
+    noise: write the sensor noise; speed: write speed_max.
     """
     frame = plant.airframe
     used = _Nominal(errors or {}, sigma or {})
@@ -48,13 +50,13 @@ def write_vehicle(
     used.refuse_unused()
     xy, xz, yz = (_number(v) for v in frame.products)
     lines = [
-        'schema = "greybox.vehicle/1"',
+        f'schema = "{schema}"',
         f'name = "{frame.name}"',
         f"gravity = {frame.gravity!r}",
         f"mass = {{ value = {mass!r}, sigma = {mass_sigma!r} }}" if mass_sigma else f"mass = {mass!r}",
         f"inertia = [[{moments[0][0]!r}, {xy!r}, {xz!r}], [{xy!r}, {moments[1][0]!r}, {yz!r}], "
         f"[{xz!r}, {yz!r}, {moments[2][0]!r}]]",
-        f"inertia_sigma = {[s for _, s in moments]!r}",
+        *_sigmas("inertia", moments, schema),
         f"center_of_mass = {_numbers(frame.center_of_mass)!r}",
         f"imu_position = {_numbers(frame.imu_position)!r}",
     ]
@@ -66,7 +68,7 @@ def write_vehicle(
     if frame.speed_max is not None and speed:
         lines.append(f"speed_max = {frame.speed_max!r}")
     for name, pairs in (("thrust", thrust), ("torque", torque)):
-        lines += [f"{name} = {[v for v, _ in pairs]!r}", f"{name}_sigma = {[s for _, s in pairs]!r}"]
+        lines += [f"{name} = {[v for v, _ in pairs]!r}", *_sigmas(name, pairs, schema)]
     lines += _known_effects(plant, tuple(known))
     if frame.nominal_voltage is not None:
         lines += ["", "[battery]", f"nominal_voltage = {frame.nominal_voltage!r}"]
@@ -76,6 +78,12 @@ def write_vehicle(
     path = Path(path)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def _sigmas(name: str, pairs: Sequence[tuple[float, float]], schema: str) -> list[str]:
+    """The line of a triple's sigmas; none where schema /2 is to believe its defaults."""
+    sigmas = [s for _, s in pairs]
+    return [] if schema != "greybox.vehicle/1" and not any(sigmas) else [f"{name}_sigma = {sigmas!r}"]
 
 
 class _Nominal:

@@ -124,7 +124,7 @@ def study(count: int, seconds: float, seed: int, points: int) -> tuple[Learned, 
     physics = fit(model, train, initialisation="nominal").model
     result = learn(physics, train, points=points, seed=seed, progress=_show)
     judged: dict[str, IdentifiedModel] = {"physics": physics, "disturbed": result.base, "hybrid": result.model}
-    return result, {n: validate(m, test, horizons=tuple(TARGETS)) for n, m in judged.items()}
+    return result, {n: validate(m, test, horizon_samples=tuple(TARGETS)) for n, m in judged.items()}
 
 
 def _show(text: str, share: float) -> None:

@@ -193,7 +193,7 @@ def test_fit_then_validate_on_another_flight(
         schema = json.loads(resources.files("greybox.schemas").joinpath(f"{name}.json").read_text())
         jsonschema.validate(json.loads((out / f"{name}.json").read_text()), schema)
     capsys.readouterr()
-    assert main(["validate", str(out / "model.json"), "--log", "b.csv", "--horizons", "1,10,50", "--json", "-"]) == 0
+    assert main(["validate", str(out / "model.json"), "--log", "b.csv", "--horizons-samples", "1,10,50", "--json", "-"]) == 0
     result = json.loads(capsys.readouterr().out)
     groups = result["horizons"][0]["groups"]
     assert set(groups) == {"position", "velocity", "rotation", "rate"}

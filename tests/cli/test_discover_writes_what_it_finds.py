@@ -99,7 +99,8 @@ def test_laws_come_with_a_model_that_has_them(
     assert sum(n.startswith("proposal_") for n in model.effects) == len(laws)
     assert any(e["proposal"] for e in valid(out / "discovery.json")["unnamed"])
     before, after = (
-        ["validate", str(out / name), "--log", str(files / "c.csv"), "--horizons", "10", "--json", str(tmp_path / name)]
+        ["validate", str(out / name), "--log", str(files / "c.csv"), "--horizons", "0.1",
+         "--json", str(tmp_path / name)]
         for name in ("model.json", "model_with_laws.json")
     )
     assert main(before) == 0

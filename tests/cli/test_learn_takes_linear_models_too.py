@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
     common = ["--inputs", "volt=a-b,load", "--outputs", "speed,temp", "--order", "1", "--json", "-"]
     assert main(["linear", "--train", *train, *common, "--siso", "--out", str(out / "siso")]) == 0
     learn = ["learn", str(out / "siso" / "model.json"), "--train", *train, "--test", test, "--points", "30"]
-    assert main([*learn, "--horizons", "1,5", "--out", str(out / "hybrid")]) == 0
+    assert main([*learn, "--horizons-samples", "1,5", "--out", str(out / "hybrid")]) == 0
     return out, train, test
 
 

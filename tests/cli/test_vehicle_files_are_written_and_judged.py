@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import tomllib
+from dataclasses import replace
 from importlib.resources import files
 
 import jsonschema
@@ -13,10 +14,11 @@ import pytest
 
 from greybox.cli import main
 from greybox.commands import vehicle as command
+from greybox.commands.vehicle_lines import vehicle_lines
 from greybox.errors import GreyboxError
 from greybox.files import dump_json
-from greybox.model.plausibility import check_vehicle
-from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.model.plausibility import check_vehicle, vehicle_findings
+from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
 from greybox.model.vehicle_template import TEMPLATES, template_text, vehicle_text
 from scenarios.flights import vehicle_path
 
@@ -116,9 +118,38 @@ def test_warnings_for_what_is_unusual_but_possible():
     assert report.verdict == "warnings"
     assert {"inertia", "noise.gyro"} <= {f.where for f in report.findings}
     exact = changed(
-        mass=0.5, inertia_sigma=[0.0] * 3, actuator__thrust_sigma=[0.0] * 3, actuator__torque_sigma=[0.0] * 3
+        schema="greybox.vehicle/1",
+        mass=0.5,
+        inertia_sigma=[0.0] * 3,
+        actuator__thrust_sigma=[0.0] * 3,
+        actuator__torque_sigma=[0.0] * 3,
     )
     assert any(f.where == "sigma" and f.severity == "warning" for f in check_vehicle(exact).findings)
+
+
+def test_every_command_that_reads_a_vehicle_file_says_what_it_believes_and_what_no_craft_has():
+    heavy = changed(mass=500.0)
+    lines = vehicle_lines(heavy)
+    assert lines[0] == "believed by default, because the vehicle file gives no sigma: mass 1%, arm 2%"
+    assert any(line.startswith("vehicle file: blocking: mass: ") and "grams" in line for line in lines)
+    assert vehicle_findings(heavy)[0].where == "mass"
+    assert vehicle_lines(changed()) == [] == vehicle_lines(changed(schema="greybox.vehicle/1"))
+
+
+def test_a_users_own_effect_is_passed_over():
+    own = replace(changed(), effects={"my_own": {"k": Quantity(value=1.0)}})
+    assert all(f.severity == "info" for f in vehicle_findings(own))
+
+
+def test_the_check_prints_and_stores_what_is_believed(tmp_path, capsys):
+    path = tmp_path / "v.toml"
+    path.write_text(template_text("x").replace("value = 0.5, sigma = 0.005", "value = 0.5"))
+    assert main(["vehicle", "check", str(path)]) == 0
+    assert "mass 0.5 +- 0.005 kg (default, 1%)" in capsys.readouterr().out
+    assert main(["vehicle", "check", str(path), "--json", "-"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    jsonschema.validate(content, SCHEMA)
+    assert {"quantity": "mass", "value": 0.5, "sigma": 0.005, "why": "default"} in content["beliefs"]
 
 
 def test_sizes_scale_the_generic_templates():

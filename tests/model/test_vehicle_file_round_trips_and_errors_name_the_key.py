@@ -118,3 +118,72 @@ def test_junk_anywhere_is_a_vehicle_or_one_line(data, junk):
         assert "\n" not in message
     else:
         assert Vehicle.from_dict(vehicle.to_dict()) == vehicle
+
+
+BARE = {
+    "schema": "greybox.vehicle/2",
+    "mass": 0.5,
+    "inertia": [[1.4e-3, 0.0, 0.0], [0.0, 1.5e-3, 0.0], [0.0, 0.0, 2.2e-3]],
+    "rotor": [
+        {"position": [0.09, -0.12, 0.0], "spin": 1},
+        {"position": [-0.09, -0.12, 0.0], "spin": -1},
+        {"position": [-0.09, 0.12, 0.0], "spin": 1},
+        {"position": [0.09, 0.12, 0.0], "spin": -1},
+    ],
+    "actuator": {"thrust": [0.0, 0.0, 4.0], "torque": [0.0, 0.0, 0.05]},
+    "effects": {"motor_lag": {"tau": 0.03}, "rotor_drag": {"k_x": 0.0, "k_y": {"value": 1e-5, "sigma": 0.0}}},
+}
+
+
+def test_a_bare_number_is_believed_within_the_default_of_its_quantity():
+    vehicle = Vehicle.from_dict(BARE)
+    sigma = {name: q.sigma for name, q in vehicle.quantities.items()}
+    assert sigma["mass"] == pytest.approx(0.01 * 0.5)
+    assert sigma["inertia.yy"] == pytest.approx(0.3 * 1.5e-3)
+    assert sigma["thrust.c2"] == pytest.approx(0.2 * 4.0)
+    assert sigma["torque.c2"] == pytest.approx(0.3 * 0.05)
+    assert sigma["center_of_mass.z"] == pytest.approx(0.03 * 0.15)  # of the arm
+    assert vehicle.effects["motor_lag"]["tau"].sigma == pytest.approx(0.015)
+    for exact in ("thrust.c0", "thrust.c1", "torque.c0"):
+        assert vehicle.quantities[exact].exact
+    assert vehicle.effects["rotor_drag"]["k_x"].exact and vehicle.effects["rotor_drag"]["k_y"].exact
+
+
+def test_beliefs_say_of_every_number_where_its_sigma_comes_from():
+    plain = copy.deepcopy(BARE)
+    plain["mass"] = {"value": 0.5, "sigma": 0.002}
+    plain["inertia_sigma"] = [0.0, 0.0, 0.0]
+    told = {b.quantity: b for b in Vehicle.from_dict(plain).beliefs.entries}
+    assert (told["mass"].why, told["mass"].sigma) == ("stated", 0.002)
+    assert told["inertia.xx"].why == "exact"
+    assert (told["thrust.c2"].why, told["arm"].why) == ("default", "default")
+    assert told["arm"].sigma == pytest.approx(0.02 * 0.15)
+    lines = Vehicle.from_dict(plain).beliefs.lines()
+    assert "mass 0.5 +- 0.002 kg (stated)" in lines
+    assert "thrust.c2 4 +- 0.8 N (default, 20%)" in lines
+    assert not any(line.startswith("inertia") for line in lines)
+    assert "thrust 20%" in Vehicle.from_dict(plain).beliefs.sentence()
+
+
+def test_files_of_schema_one_keep_bare_numbers_exact():
+    old = Vehicle.from_dict(BARE | {"schema": "greybox.vehicle/1"})
+    assert all(q.exact for q in old.quantities.values())
+    assert {b.why for b in old.beliefs.entries} == {"exact"} and old.beliefs.sentence() == ""
+    assert old.to_dict()["mass"] == 0.5 and old.to_dict()["schema"] == "greybox.vehicle/1"
+    with pytest.raises(GreyboxError, match="default_sigma"):
+        Vehicle.from_dict(BARE | {"schema": "greybox.vehicle/1", "default_sigma": ["mass"]})
+
+
+def test_what_was_believed_by_default_comes_back_as_that():
+    vehicle = Vehicle.from_dict(BARE)
+    again = Vehicle.from_dict(json.loads(json.dumps(vehicle.to_dict())))
+    assert again == vehicle and again.beliefs == vehicle.beliefs and pickle.loads(pickle.dumps(vehicle)) == vehicle
+    with pytest.raises(GreyboxError, match="did you mean mass"):
+        Vehicle.from_dict(BARE | {"default_sigma": ["mas"]})
+
+
+def test_a_guessed_moment_that_no_body_has_is_refused_however_wide_its_default():
+    plain = copy.deepcopy(BARE)
+    plain["inertia"][2][2] = 4e-3
+    with pytest.raises(VehicleError, match="no body has the principal moments"):
+        Vehicle.from_dict(plain)

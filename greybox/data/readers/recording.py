@@ -105,7 +105,7 @@ class Recording:
     """A log file as its reader understands it: streams, sources in order of preference, and what else it says.
 
     `info` are facts for people (firmware, craft); `dropouts` (start, length) [s] where the logger says it lost data;
-    `rotors` position (x, y, z) [m, FLU] and spin of every rotor where the log knows them.
+    `rotors` position (x, y, z) [m, FLU] and spin of every rotor where the log knows them, `parameters` the firmware's own.
     """
 
     format: str
@@ -116,6 +116,7 @@ class Recording:
     info: Mapping[str, str] = field(default_factory=dict)
     dropouts: tuple[tuple[float, float], ...] = ()
     rotors: tuple[tuple[tuple[float, float, float], int], ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 

@@ -69,6 +69,7 @@ def read_ulog(path: Path) -> Recording:
         info=info,
         dropouts=dropouts,
         rotors=rotors,
+        parameters=parameters,
         notes=tuple(notes),
     )
 

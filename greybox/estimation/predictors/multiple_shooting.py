@@ -93,7 +93,7 @@ class MultipleShooting(Predictor[ShootingPrepared]):
     def _close(self, problem: Problem, start: FloatArray, window_s: float, progress: Progress | None) -> FloatArray:
         """Iterate with windows of this length. Raises `FitError` where the gaps do not close."""
         lower, upper = problem.lower, problem.upper
-        theta = np.clip(start, lower, upper)
+        theta = problem.inside(start)
         prepared = problem.prepared(self)
         path = _path(problem, prepared.filter, theta, window_s)
         for iteration in range(1, self.max_iterations + 1):
@@ -105,7 +105,7 @@ class MultipleShooting(Predictor[ShootingPrepared]):
             if not (np.isfinite(value.cost) and np.isfinite(gradient).all() and np.isfinite(hessian).all()):
                 break
             held = ((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0))
-            new = np.clip(theta + damped_step(gradient, hessian, held, 0.0), lower, upper)
+            new = problem.inside(theta + damped_step(gradient, hessian, held, 0.0))
             step = new - theta
             decrement = max(-float(gradient @ step + 0.5 * step @ hessian @ step), 0.0)
             if progress:

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from greybox.model.beliefs import Beliefs
+from greybox.model.effects import CATALOGUE
 from greybox.model.plausibility import judges
 from greybox.model.plausibility.craft import FIGURES, Craft
 from greybox.model.plausibility.finding import SEVERITIES, Implausible
 from greybox.model.vehicle import Vehicle
 
 SCHEMA = "greybox.vehicle_check/1"
+NOTHING = Beliefs(entries=())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plausibility:
-    """What `check_vehicle` found, the worst first, and the key figures (SI) of the craft."""
+    """What `check_vehicle` found, the worst first, the key figures (SI) of the craft, and how sure its file is of what."""
 
     vehicle: str
     figures: dict[str, float | None]
     findings: tuple[Implausible, ...]
+    beliefs: Beliefs = NOTHING
 
     @property
     def ok(self) -> bool:
@@ -43,14 +47,25 @@ class Plausibility:
             "counts": {s: sum(f.severity == s for f in self.findings) for s in SEVERITIES},
             "figures": self.figures,
             "findings": [asdict(f) for f in self.findings],
+            "beliefs": [asdict(b) for b in self.beliefs.entries],
         }
 
     def summary(self) -> str:
-        """The findings and key figures as text."""
+        """The findings, key figures and beliefs as text."""
         units = {"mass": " kg", "arm_length": " m", "torque_over_thrust": " m", "tip_speed": " m/s"}
         figures = [f"{k.replace('_', ' ')} {v:.3g}{units.get(k, '')}" for k, v in self.figures.items() if v is not None]
+        believed = self.beliefs.lines()
         return "\n".join(
-            [f"{self.vehicle}: {self.verdict}", f"  {', '.join(figures)}", *(f.line() for f in self.findings)]
+            [
+                f"{self.vehicle}: {self.verdict}",
+                f"  {', '.join(figures)}",
+                *(f.line() for f in self.findings),
+                *(
+                    ["believed within one sigma (the rest is exact):", *(f"  {b}" for b in believed)]
+                    if believed
+                    else []
+                ),
+            ]
         )
 
 
@@ -58,9 +73,18 @@ def check_vehicle(vehicle: Vehicle) -> Plausibility:
     """Judge a vehicle that its reader accepts. Raises `UnknownNameError` for an effect that the catalogue does not have."""
     extreme = list(judges.extremes(vehicle))
     if extreme:
-        return Plausibility(vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(extreme))
+        return Plausibility(
+            vehicle=vehicle.name, figures=dict.fromkeys(FIGURES), findings=tuple(extreme), beliefs=vehicle.beliefs
+        )
     with np.errstate(all="ignore"):
         return _judged(Craft(vehicle))
+
+
+def vehicle_findings(vehicle: Vehicle) -> tuple[Implausible, ...]:
+    """What in a vehicle no quadrotor has, the worst first. Effects that are not in the catalogue (a user's own) are passed
+    over."""
+    own = {e.name for e in CATALOGUE}
+    return check_vehicle(replace(vehicle, effects={k: v for k, v in vehicle.effects.items() if k in own})).findings
 
 
 def _judged(craft: Craft) -> Plausibility:
@@ -80,4 +104,6 @@ def _judged(craft: Craft) -> Plausibility:
         found += [f for judge in (judges.inertia, judges.thrust, judges.rotors, judges.points) for f in judge(craft)]
     found += [f for judge in (judges.allocation, judges.lags, judges.sigmas, judges.noise) for f in judge(craft)]
     found.sort(key=lambda f: SEVERITIES.index(f.severity))
-    return Plausibility(vehicle=craft.vehicle.name, figures=craft.figures, findings=tuple(found))
+    return Plausibility(
+        vehicle=craft.vehicle.name, figures=craft.figures, findings=tuple(found), beliefs=craft.vehicle.beliefs
+    )

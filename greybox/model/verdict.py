@@ -1,0 +1,123 @@
+"""Verdict: what judging a model on flights said, as it stays with the model, its files and reports.
+
+The record holds what was found and the words for it; `greybox.validation.usefulness` makes it. It lives here because
+a model file carries it.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+NOT_JUDGED = "NOT JUDGED: this model was not compared with holding the last value; `greybox validate` does"
+"""First line of a model without a verdict (one of an older file, or one that was changed since)."""
+
+
+class Outcome(enum.Enum):
+    """What a verdict says. The value is what files hold."""
+
+    USABLE = "usable"
+    NOT_USABLE = "not usable"
+    TOO_CALM = "too calm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupSkill:
+    """One channel group at `seconds` ahead: error of the model, of holding the last value, of dead reckoning.
+
+    Mean absolute errors in `unit`; `measured_imu` is None where there is no dead reckoning. `covered` is the share of
+    the distance between holding the last value and dead reckoning (or no error at all, where there is none) that the
+    model covers: 1 = as good as the measured IMU, 0 = as the last value, below 0 worse. `worse_from` [s] is the first
+    horizon at which the last value is better, None where there is none; `calm`: the flights hardly move in this group.
+    """
+
+    name: str
+    unit: str
+    seconds: float
+    error: float
+    last_value: float
+    measured_imu: float | None
+    covered: float
+    worse_from: float | None
+    calm: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether a model is usable, and the one line that says so.
+
+    `line` is the first line of every output. `useful_seconds` [s]: up to there no group that could be judged is worse
+    than holding the last value; judging ended at `judged_seconds`. `judged_on` says in words which flights judged
+    (`flights` by name). `reason`, `action` and `anchor` (a section of docs/bad_fit.md) are empty where nothing is wrong.
+    """
+
+    outcome: Outcome
+    line: str
+    useful_seconds: float
+    judged_seconds: float
+    judged_on: str
+    flights: tuple[str, ...]
+    groups: tuple[GroupSkill, ...]
+    reason: str = ""
+    action: str = ""
+    anchor: str = ""
+
+    @property
+    def refused(self) -> bool:
+        """Whether whoever builds on the model has to be asked: not usable."""
+        return self.outcome is Outcome.NOT_USABLE
+
+    @property
+    def exit_code(self) -> int:
+        """0 usable or too calm to tell, 1 not usable."""
+        return 1 if self.refused else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values under the names of the fields; null for a number that is not finite."""
+        fields = asdict(self)
+        return {
+            **fields,
+            "outcome": self.outcome.value,
+            "flights": list(self.flights),
+            "groups": [
+                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(g).items()}
+                for g in self.groups
+            ],
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Verdict:
+        """The verdict of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is incomplete."""
+        return Verdict(
+            outcome=Outcome(data["outcome"]),
+            line=str(data["line"]),
+            useful_seconds=float(data["useful_seconds"]),
+            judged_seconds=float(data["judged_seconds"]),
+            judged_on=str(data["judged_on"]),
+            flights=tuple(str(f) for f in data["flights"]),
+            groups=tuple(
+                GroupSkill(
+                    name=str(g["name"]),
+                    unit=str(g["unit"]),
+                    seconds=float(g["seconds"]),
+                    error=_number(g["error"]),
+                    last_value=_number(g["last_value"]),
+                    measured_imu=None if g["measured_imu"] is None else float(g["measured_imu"]),
+                    covered=_number(g["covered"], -1),
+                    worse_from=None if g["worse_from"] is None else float(g["worse_from"]),
+                    calm=bool(g["calm"]),
+                )
+                for g in data["groups"]
+            ),
+            reason=str(data["reason"]),
+            action=str(data["action"]),
+            anchor=str(data["anchor"]),
+        )
+
+
+def _number(value: float | None, sign: int = 1) -> float:
+    """A number of a file, where an infinite one (predictions that diverged) is written as null."""
+    return sign * float("inf") if value is None else float(value)

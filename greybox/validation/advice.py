@@ -1,0 +1,225 @@
+"""From what was seen around a fit to the likely reason of a bad model, the next step, and the section that explains it.
+
+Whoever sees something (the checks of a log, a solver's end, a test of physics) says it as a `Hint`; `likely` picks the
+one that most often is the cause of the others. One table, in that order.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from greybox.data.checks import CheckReport
+from greybox.errors import DataError
+from greybox.estimation.fit import Fit
+
+PAGE = "docs/bad_fit.md"
+"""The page whose sections the anchors name."""
+LATE = 0.025
+"""Lag [s] of the motion behind the commands from which a model without motor lag is expected to fail: at 5 Hz, where a
+small multirotor turns, 25 ms are 45 degrees of phase."""
+WANDER = 2.0
+"""Samples by which gyro and attitude wander against each other from which `check` warns (greybox.data.checks.alignment)."""
+LAG_EFFECTS = ("motor_lag", "command_delay")
+"""Effects that let the motion follow the commands late."""
+
+
+class Symptom(enum.Enum):
+    """What was seen. The value is the section of the page, as an anchor."""
+
+    LOG_FAULT = "a-log-has-a-fault"
+    DIVERGED = "the-prediction-is-not-finite"
+    LATE_MOTORS = "the-motors-answer-late-and-the-model-does-not"
+    IMPOSSIBLE = "a-parameter-has-an-impossible-value"
+    OVERRULED = "a-measured-number-was-overruled"
+    BOUNDS = "several-parameters-at-their-bounds"
+    NOT_CONVERGED = "the-fit-did-not-converge"
+    CLOCKS = "the-clocks-wander"
+    FLIGHT_DIFFERS = "this-flight-differs-from-the-training-flights"
+    SATURATED = "a-command-saturates"
+    CALM = "too-calm-to-judge"
+    NO_BETTER = "no-better-than-the-last-value"
+    POSITION = "position-worse-than-the-last-value"
+    VELOCITY = "velocity-worse-than-the-last-value"
+    ROTATION = "rotation-worse-than-the-last-value"
+    RATE = "rate-worse-than-the-last-value"
+    SPECIFIC_FORCE = "specific-force-worse-than-the-last-value"
+
+    @property
+    def anchor(self) -> str:
+        """Page and section."""
+        return f"{PAGE}#{self.value}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hint:
+    """One thing seen: `detail` says it in words (with names and numbers), "" where the table's words do."""
+
+    symptom: Symptom
+    detail: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Advice:
+    """The likely reason in words, and what to do next. Where a hint has a detail, it follows the reason in brackets."""
+
+    symptom: Symptom
+    reason: str
+    action: str
+
+
+ADVICE: tuple[Advice, ...] = (
+    Advice(
+        symptom=Symptom.LOG_FAULT,
+        reason="a log has a fault that a fit cannot repair",
+        action="greybox check names it and its repair",
+    ),
+    Advice(
+        symptom=Symptom.LATE_MOTORS,
+        reason="the motors answer late and the model does not know it",
+        action="--effects motor_lag",
+    ),
+    Advice(
+        symptom=Symptom.IMPOSSIBLE,
+        reason="a parameter has a value that physics does not allow, so it stands for something that is missing",
+        action="leave that effect out, or add what is missing (greybox discover)",
+    ),
+    Advice(
+        symptom=Symptom.OVERRULED,
+        reason="the fit left a number of the vehicle file that was measured",
+        action="hold it with --fixed, and look at what then fits worse",
+    ),
+    Advice(
+        symptom=Symptom.BOUNDS,
+        reason="several parameters ran to their bounds: the structure is wrong, not the numbers",
+        action="--effects motor_lag,gyro_bias,accelerometer_bias and --disturbance force,torque; hold with "
+        "--fixed what was weighed and what the flights do not show",
+    ),
+    Advice(
+        symptom=Symptom.NOT_CONVERGED,
+        reason="the fit did not converge",
+        action="fewer free parameters (--fixed), or better numbers in the vehicle file",
+    ),
+    Advice(
+        symptom=Symptom.CLOCKS,
+        reason="the clocks of gyro and attitude wander against each other",
+        action="--kinematic-noise",
+    ),
+    Advice(
+        symptom=Symptom.FLIGHT_DIFFERS,
+        reason="this flight differs from those of the fit (battery, trim, range)",
+        action="--adapt 5, --per-flight thrust.c2, or fly in training what is flown here",
+    ),
+    Advice(
+        symptom=Symptom.DIVERGED,
+        reason="the model runs away in open loop",
+        action="fewer effects, and --disturbance force,torque",
+    ),
+    Advice(
+        symptom=Symptom.SATURATED,
+        reason="commands are at their limits for much of the flight",
+        action="fly with more headroom, or add --effects command_saturation",
+    ),
+    Advice(
+        symptom=Symptom.ROTATION,
+        reason="torques are wrong: lag, damping or trim of the motors is missing",
+        action="--effects motor_lag,rotational_damping,gyro_bias --disturbance torque",
+    ),
+    Advice(
+        symptom=Symptom.RATE,
+        reason="torques are wrong: lag or damping is missing, or yaw is not excited",
+        action="--effects motor_lag,rotational_damping --disturbance torque",
+    ),
+    Advice(
+        symptom=Symptom.VELOCITY,
+        reason="forces are wrong: thrust scale, battery or drag is missing",
+        action="--effects battery_sag,rotor_drag,accelerometer_bias --disturbance force",
+    ),
+    Advice(
+        symptom=Symptom.POSITION,
+        reason="forces are wrong: thrust scale, battery or drag is missing",
+        action="--effects battery_sag,rotor_drag,accelerometer_bias --disturbance force",
+    ),
+    Advice(
+        symptom=Symptom.SPECIFIC_FORCE,
+        reason="thrust is wrong, or the accelerometer shakes more than the craft accelerates",
+        action="--effects motor_lag,battery_sag,accelerometer_bias",
+    ),
+    Advice(
+        symptom=Symptom.NO_BETTER,
+        reason="the commands hardly matter in this model",
+        action="greybox check (motor order, excitation), then greybox discover",
+    ),
+)
+"""Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to their bounds, bounds
+keep a solver from converging; what only one group shows comes last."""
+
+_OF_GROUP = {
+    "position": Symptom.POSITION,
+    "velocity": Symptom.VELOCITY,
+    "rotation": Symptom.ROTATION,
+    "rate": Symptom.RATE,
+    "specific_force": Symptom.SPECIFIC_FORCE,
+}
+
+
+def symptom_of_group(group: str) -> Symptom:
+    """What it is called when a channel group is worse than the last value. Raises `DataError` for another name."""
+    try:
+        return _OF_GROUP[group]
+    except KeyError:
+        raise DataError("no symptom for this group", expected=", ".join(_OF_GROUP), got=group) from None
+
+
+def likely(hints: Iterable[Hint], fallback: Symptom) -> tuple[str, str, str]:
+    """(reason, action, anchor) of the likeliest cause among `hints`; of `fallback` where there are none."""
+    given = list(hints)
+    for advice in ADVICE:
+        for hint in given:
+            if hint.symptom is advice.symptom:
+                reason = f"{advice.reason} ({hint.detail})" if hint.detail else advice.reason
+                return reason, advice.action, advice.symptom.anchor
+    advice = next(a for a in ADVICE if a.symptom is fallback)
+    return advice.reason, advice.action, advice.symptom.anchor
+
+
+def hints_of_checks(
+    report: CheckReport, *, effects: Collection[str], kinematic_noise: bool = False
+) -> tuple[Hint, ...]:
+    """What the checks of the logs say about a model with these effects."""
+    out: list[Hint] = [Hint(symptom=Symptom.LOG_FAULT, detail=f"{f.flight}: {f.message}") for f in report.blocking]
+    lags = [
+        float(f.evidence[k])
+        for f in report.of("alignment")
+        for k in ("p_s", "q_s")
+        if k in f.evidence and f.severity != "blocking"
+    ]
+    if lags and max(lags) > LATE and not set(effects) & set(LAG_EFFECTS):
+        out.append(
+            Hint(
+                symptom=Symptom.LATE_MOTORS,
+                detail=f"roll and pitch follow the commands by {1e3 * max(lags):.0f} ms",
+            )
+        )
+    wander = [
+        float(f.evidence["high_samples"] - f.evidence["low_samples"])
+        for f in report.of("alignment")
+        if "high_samples" in f.evidence
+    ]
+    if wander and max(wander) > WANDER and not kinematic_noise:
+        out.append(Hint(symptom=Symptom.CLOCKS, detail=f"by {max(wander):.1f} samples"))
+    if report.of("saturation"):
+        out.append(Hint(symptom=Symptom.SATURATED, detail=report.of("saturation")[0].message))
+    return tuple(out)
+
+
+def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:
+    """What a fit says about itself: parameters at bounds, a solver that did not arrive."""
+    out = []
+    bound = [n for n, e in fit.parameters.items() if e.at_bound]
+    if len(bound) > 1:
+        out.append(Hint(symptom=Symptom.BOUNDS, detail=", ".join(bound)))
+    if not fit.converged:
+        out.append(Hint(symptom=Symptom.NOT_CONVERGED))
+    return tuple(out)

@@ -1,0 +1,320 @@
+"""Sanity: what estimates say about the model when they are nothing that a craft has.
+
+A search that lacks a cause bends the parameters that it may move until they stand for it: masses that differ from the
+scale's, torques of the wrong sign, numbers at their bounds. Each finding is therefore a sentence about the structure of the
+model, with what to try. Whether the solver converged plays no part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from greybox.estimation.feasible import margins
+from greybox.estimation.fit import Fit
+from greybox.model.model import PhysicsModel
+from greybox.model.vehicle import Vehicle
+
+Severity = Literal["impossible", "doubtful"]
+Kind = Literal["value", "inertia", "overruled", "bounds"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A threshold of this page and where it comes from."""
+
+    value: float
+    source: str
+
+
+LIMITS: Mapping[str, Limit] = {
+    "sigmas": Limit(value=4.0, source="a Gaussian prior is that wrong once in 16 000; bounds of schema /1 stand there"),
+    "sigmas, rounded": Limit(value=3.95, source="4, less what the search leaves at a bound"),
+    "at bounds": Limit(
+        value=3, source="one is a wide prior, two a ratio that data leave open; three is a missing cause"
+    ),
+    "inertia, rounded": Limit(
+        value=-0.013, source="margin of 5 % beyond the triangle: the slack of the vehicle reader"
+    ),
+    "inertia, least": Limit(value=0.01, source="J / (m L^2); limit of greybox.model.plausibility"),
+    "inertia, most": Limit(value=3.0, source="J / (m L^2); limit of greybox.model.plausibility"),
+    "density, least": Limit(value=5.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"),
+    "density, most": Limit(value=6000.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"),
+    "motor time": Limit(value=0.3, source="s; large propellers take 0.2 s (greybox.model.plausibility: 0.2 s)"),
+    "hover": Limit(value=1.3, source="share of the range of commands; effects may raise thrust by 30 %"),
+}
+"""Every number that decides a finding."""
+
+
+class Estimated(Protocol):
+    """What is asked of an estimate (`greybox.estimation.fit.Estimate` has it)."""
+
+    @property
+    def value(self) -> float:
+        """Estimate in its unit."""
+
+    @property
+    def prior(self) -> tuple[float, float] | None:
+        """Mean and standard deviation, None where there is no prior."""
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the search ended at a bound."""
+
+    @property
+    def unit(self) -> str:
+        """SI unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Insane:
+    """One finding: what the estimates say (`statement`), why that is probably so, and what to try.
+
+    "impossible": no craft has it, the model is not usable; "doubtful": it may predict and yet be wrong inside.
+    """
+
+    severity: Severity
+    kind: Kind
+    parameters: tuple[str, ...]
+    statement: str
+    likely: str
+    attempt: str
+
+    def line(self) -> str:
+        """One line for a person."""
+        return f"{self.severity}: {self.statement}: {self.likely}; try: {self.attempt}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sanity:
+    """What `sanity` found, the impossible first."""
+
+    findings: tuple[Insane, ...]
+
+    @property
+    def possible(self) -> bool:
+        """Whether a craft can have these numbers."""
+        return all(f.severity != "impossible" for f in self.findings)
+
+    def lines(self) -> list[str]:
+        """One line per finding."""
+        return [f.line() for f in self.findings]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"possible": self.possible, "findings": [asdict(f) for f in self.findings]}
+
+
+def sanity(estimates: Mapping[str, Estimated], vehicle: Vehicle, values: Mapping[str, float] | None = None) -> Sanity:
+    """Judge estimates by name. `values` are all parameters of the model, also those that were held (else the vehicle's)."""
+    known = {n: q.value for n, q in vehicle.quantities.items()} | dict(values or {})
+    known |= {n: e.value for n, e in estimates.items()}
+    found: list[Insane] = []
+    for judge in (_curves, _times, _mass, _inertia, _overruled, _bounds):
+        found += judge(estimates, vehicle, known)
+    return Sanity(findings=tuple(sorted(found, key=lambda f: f.severity != "impossible")))
+
+
+def sanity_of(fit: Fit) -> Sanity:
+    """Judge a fit of a quadrotor; nothing is said about other models."""
+    physics = fit.model.physics
+    if not isinstance(physics, PhysicsModel):
+        return Sanity(findings=())
+    return sanity(fit.parameters, physics.vehicle, fit.model.values)
+
+
+Estimates = Mapping[str, Estimated]
+Values = Mapping[str, float]
+
+
+def _curves(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """Thrust that carries the craft, and a drag torque against the turn, where it hovers."""
+    u_max = vehicle.actuator.u_max
+    nu = np.linspace(0.0, LIMITS["hover"].value * u_max, 261)[1:]
+    thrust = sum(values[f"thrust.c{k}"] * nu**k for k in range(3))
+    weight = values["mass"] * vehicle.gravity / vehicle.n_rotors
+    enough = np.flatnonzero(np.asarray(thrust) >= weight)
+    free = tuple(n for n in estimates if n.startswith("thrust."))
+    if not (np.asarray(thrust) > 0).any() or (not enough.size and free):
+        yield Insane(
+            severity="impossible",
+            kind="value",
+            parameters=free or ("thrust.c2",),
+            statement=f"the thrust map carries {max(float(np.max(thrust)), 0.0) / weight:.0%} of the weight at most",
+            likely="thrust per command or the mass stands for something else",
+            attempt="hold mass (--fixed mass); check thrust and the command columns of the vehicle file",
+        )
+    hover = float(nu[enough[0]]) if enough.size else 0.6 * u_max
+    torque = sum(values[f"torque.c{k}"] * hover**k for k in range(3))
+    free = tuple(n for n in estimates if n.startswith("torque."))
+    if torque < 0 and free:
+        yield Insane(
+            severity="impossible",
+            kind="value",
+            parameters=free,
+            statement=f"the rotors' drag torque is negative at hover ({torque:.2g} N m)",
+            likely="yaw is hardly excited, or spins or motor order are not those of the vehicle file",
+            attempt=f"check the spins and the order of the rotors; hold torque (--fixed {','.join(free)})",
+        )
+
+
+def _times(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """Causes before their effects, and motors slower than any."""
+    for name, e in estimates.items():
+        if e.unit != "s" or name.startswith(("pose_delay.", "disturbance.")):
+            continue
+        if e.value < 0:
+            yield Insane(
+                severity="impossible",
+                kind="value",
+                parameters=(name,),
+                statement=f"{name} is negative ({e.value:.3g} s)",
+                likely="the craft would answer before the command: the stamps of commands and sensors are shifted",
+                attempt="look at the lead of the commands that `greybox check` measures; shift them in a mapping file",
+            )
+        elif name == "motor_lag.tau" and e.value > LIMITS["motor time"].value:
+            yield Insane(
+                severity="doubtful",
+                kind="value",
+                parameters=(name,),
+                statement=f"motors with a time constant of {e.value:.2g} s",
+                likely="the lag stands for another slow part: a filter of the gyro, late stamps, a wrong inertia",
+                attempt="add command_delay or sensor_delay; check which commands are logged (after the mixer?)",
+            )
+
+
+def _mass(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """Mass against the size of the craft."""
+    if "mass" not in estimates:
+        return
+    mass, density = values["mass"], values["mass"] / vehicle.arm_length**3
+    if not LIMITS["density, least"].value <= density <= LIMITS["density, most"].value:
+        yield Insane(
+            severity="impossible",
+            kind="value",
+            parameters=("mass",),
+            statement=f"{mass:.3g} kg for arms of {vehicle.arm_length:.2g} m",
+            likely="mass and thrust come only as a ratio in these flights",
+            attempt="weigh the craft and hold mass (--fixed mass)",
+        )
+
+
+def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """A body, and one of this size."""
+    names = tuple(n for n in estimates if n.startswith(("inertia.", "products_of_inertia.")))
+    if not names:
+        return
+    j = np.array(vehicle.inertia, dtype=np.float64)
+    for i, a in enumerate("xyz"):
+        j[i, i] = values[f"inertia.{a}{a}"]
+    for product, row, column in (("Jxy", 0, 1), ("Jxz", 0, 2), ("Jyz", 1, 2)):
+        extra = values.get(f"products_of_inertia.{product}", 0.0)
+        j[row, column] += extra
+        j[column, row] += extra
+    least = float(margins(j)[-1])
+    moments = ", ".join(f"{v:.3g}" for v in np.linalg.eigvalsh(j))
+    rate = (
+        "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per command, a clock that is late"
+    )
+    if least <= 0:
+        yield Insane(
+            severity="impossible" if least < LIMITS["inertia, rounded"].value else "doubtful",
+            kind="inertia",
+            parameters=names,
+            statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others)",
+            likely=rate,
+            attempt="add motor_lag and command_delay; hold inertia.zz where yaw is hardly excited; fit schema /2 files",
+        )
+    scale = values["mass"] * vehicle.arm_length**2
+    low, high = LIMITS["inertia, least"].value, LIMITS["inertia, most"].value
+    for name in names:
+        share = values[name] / scale
+        if name.startswith("inertia.") and not low <= share <= high:
+            yield Insane(
+                severity="impossible",
+                kind="inertia",
+                parameters=(name,),
+                statement=f"{name} of {values[name]:.3g} kg m^2 is {share:.2g} m L^2 (craft have {low:g} to {high:g})",
+                likely=rate,
+                attempt=f"add motor_lag and command_delay; hold it (--fixed {name})",
+            )
+
+
+ADVICE: Mapping[str, tuple[str, str]] = {
+    "mass": (
+        "thrust per command is probably off",
+        "free thrust.c2, hold mass (--fixed mass); add battery_sag where the log has the voltage",
+    ),
+    "thrust": (
+        "battery, propellers or the logged commands are not those of the data sheet",
+        "compare the hover command with `greybox vehicle check`; add battery_sag; one value per flight (--per-flight)",
+    ),
+    "torque": (
+        "yaw moves by something else: yaw inertia, spins, or a heading reference that drifts",
+        "hold inertia.zz (--fixed inertia.zz); check the spins",
+    ),
+    "inertia": (
+        "the rotors' torque is wrong or late: arms, motor lag, delays, thrust per command",
+        "add motor_lag and command_delay; measure the arms",
+    ),
+    "center_of_mass": (
+        "a steady torque is missing: motors or propellers that differ, arms, a bias of the gyro",
+        "add rotor_asymmetry; --disturbance torque",
+    ),
+}
+"""Group of a parameter -> (what probably is wrong with the model, what to try) where the flights overrule its prior."""
+
+OTHERS = ("another effect is missing, and this one stands for it", "run `greybox discover` on the flights")
+
+
+def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """Stated numbers that the flights deny."""
+    for name, e in estimates.items():
+        if e.prior is None or not e.prior[1] > 0 or not math.isfinite(e.prior[1]):
+            continue
+        mean, sigma = e.prior
+        away = abs(e.value - mean) / sigma
+        if away <= LIMITS["sigmas"].value and not (e.at_bound and away >= LIMITS["sigmas, rounded"].value):
+            continue
+        likely, attempt = ADVICE.get(name.partition(".")[0], OTHERS)
+        if name == "mass" and "thrust.c2" in estimates:
+            likely = "mass and thrust per command come only as a ratio, and something else moves it"
+            attempt = "hold mass (--fixed mass); add battery_sag where the log has the voltage"
+        if name == "inertia.zz":
+            likely += "; or yaw is hardly excited"
+            attempt = "hold inertia.zz or torque.c2 (--fixed inertia.zz)"
+        stated, wanted = _said(name, mean, sigma, e.value, e.unit)
+        wanted += " or beyond (its bound)" if e.at_bound else ""
+        verb = "was weighed" if name == "mass" else "was stated"
+        yield Insane(
+            severity="doubtful",
+            kind="overruled",
+            parameters=(name,),
+            statement=f"{name} {verb} ({stated}) but the flights want {wanted}, {away:.0f} sigma away",
+            likely=likely,
+            attempt=attempt,
+        )
+
+
+def _said(name: str, mean: float, sigma: float, value: float, unit: str) -> tuple[str, str]:
+    """A prior and a value as people say them (grams below half a kilogram)."""
+    factor, shown = (1e3, "g") if name == "mass" and mean < 0.5 else (1.0, unit)
+    return f"{mean * factor:.4g} +- {sigma * factor:.2g} {shown}".strip(), f"{value * factor:.4g} {shown}".strip()
+
+
+def _bounds(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator[Insane]:
+    """Many parameters at their bounds at once."""
+    stuck = tuple(n for n, e in estimates.items() if e.at_bound)
+    if len(stuck) >= LIMITS["at bounds"].value:
+        yield Insane(
+            severity="doubtful",
+            kind="bounds",
+            parameters=stuck,
+            statement=f"{len(stuck)} of {len(estimates)} parameters ended at a bound at once ({', '.join(stuck)})",
+            likely="the model lacks a cause that is larger than they may be moved: motor lag, a delay, wind, wrong commands",
+            attempt="add motor_lag and command_delay; --disturbance force,torque; check motor order and commands",
+        )

@@ -1,0 +1,338 @@
+"""Is a model useful, and how far ahead? Its errors against holding the last value and against the measured IMU.
+
+A model that does not beat the last measured value knows nothing (ceiling); one that comes near dead reckoning with the
+measured IMU has nothing left to gain (floor). `judge` turns the three multi-step tables of a validation into one
+`Verdict`, whose first line is the first line of every output.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.model.verdict import GroupSkill, Outcome, Verdict
+from greybox.symbolic import BoolArray, FloatArray
+from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
+from greybox.validation.groups import GROUPS
+from greybox.validation.horizon_table import GroupErrors, HorizonTable
+
+TEST_FLIGHTS = "flights that it was not fitted to"
+FITTED_FLIGHTS = "the flights that were fitted"
+PARTLY_FITTED = "flights of which some were fitted"
+LEFT_OUT = "pieces of the training flights that were left out"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standard:
+    """What "usable" means: every number that decides, with its reason.
+
+    A group is worse than the last value at a horizon where the mean error of the model is above that of the last value by
+    more than `equal` of it plus the smaller of one standard error and `noise` of it.
+    """
+
+    minimum: float = 0.1
+    """[s] No group may be worse up to here. Rotors answer within 0.1 s (lag 20 to 70 ms and a delay): a model that loses
+    to the last value before they have is worth nothing to a controller."""
+    look_ahead: float = 0.5
+    """[s] Where skill is stated, and up to where no group may be wrecked: what position controllers and the model
+    predictive controller of this package plan ahead."""
+    look_ahead_imu: float = 0.3
+    """[s] The same where only the IMU was logged: there is no attitude or place to plan for, only rates to hold."""
+    longest: float = 1.0
+    """[s] Nothing is judged beyond: open loop, attitude errors of a second are those of the disturbances."""
+    wrecked: float = 2.0
+    """Times the error of the last value, from which a model misleads whoever plans to `look_ahead`."""
+    better: float = 0.9
+    """Error over error of the last value, geometric mean over the groups of turning (rotation, rate) and over those of
+    moving (the others), below which both must come somewhere from `minimum` to `look_ahead`. A model that equals the last
+    value everywhere is not useful. (On-board IMU logs: 0.94 where motors never answered the commands in the model, 0.5
+    with their lag.)"""
+    equal: float = 0.02
+    """Share of the last value's error that nobody would notice."""
+    noise: float = 0.1
+    """At most this share of the last value's error is forgiven as chance: few blocks must not excuse a bad model."""
+    short: float = 0.1
+    """[s] Up to here the error is that of the state estimate, and the last value is told the reference itself, smoothed
+    with later samples included. There dead reckoning, which starts from the same estimate, may take its place as rival,
+    up to `unfair` times the last value's error. (Real flights: rates one sample ahead equal the last value, .083 to
+    .090 against .090 rad/s.) The last specific force is itself the measured IMU, with every constant offset that no
+    filter corrects: its error at the end of this time is the rival all through it."""
+    unfair: float = 2.0
+    """See `short`."""
+    reach: float = 0.3
+    """Share of the origins that must reach a horizon: a few at the end of a short flight are no sample of it."""
+    sensor_sample: float = 0.02
+    """[s] At sample times up to this the change of a value over one sample is mostly noise."""
+    noise_motion: float = 2.0
+    """A group moves less than this many times its change over one sample within `look_ahead`: motion within noise."""
+
+
+CALM = {"position": 0.1, "velocity": 0.15, "rotation": 0.05, "rate": 0.2, "specific_force": 0.3}
+"""Mean change of a group [its unit] within half a second below which a flight is calm: a third of what an indoor flight
+of medium pace shows (NanoBench test flights: 0.44 m, 0.65 m/s, 0.15 rad, 0.77 rad/s). Below, holding the last value is
+nearly right whatever flies. A model whose own error is above twice this is bad in any flight, and is not excused."""
+
+KINDS = (("rotation", "rate"), ("position", "velocity", "specific_force"))
+"""Turning and moving: a model that knows one of them says nothing of the other."""
+
+TELLING = {
+    "position": "figures of eight at 1 m/s",
+    "velocity": "figures of eight at 1 m/s",
+    "rotation": "fast figures of eight, or steps of 10 deg in roll and pitch",
+    "rate": "steps of 10 deg in roll, pitch and yaw",
+    "specific_force": "climbs and descents at 1 m/s",
+}
+"""The flight that would tell, per group."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Comparison:
+    """One group on the grid of horizons: errors (H,), and where the last value is better."""
+
+    name: str
+    model: FloatArray
+    last: FloatArray
+    floor: FloatArray | None
+    worse: BoolArray
+    calm: bool
+    excused: bool
+
+
+def judge(
+    model: HorizonTable,
+    last_value: HorizonTable,
+    measured_imu: HorizonTable | None = None,
+    *,
+    judged_on: str = TEST_FLIGHTS,
+    hints: Iterable[Hint] = (),
+    standard: Standard | None = None,
+) -> Verdict:
+    """The verdict on a model from its multi-step errors, those of holding the last value, and of dead reckoning.
+
+    The tables are those of `greybox.validation.validate.Validation` (the same origins in all). Horizons are every sample
+    up to `standard.longest`, as far as the tables reach. `hints` are what else was seen (`greybox.validation.advice`).
+    Raises `DataError` where the tables share no group or end before `standard.minimum`.
+    """
+    rule = standard or Standard()
+    dt = model.sample_time
+    groups = [g for g in model.groups if g in last_value.groups]
+    steps = min(model.steps, last_value.steps, round(rule.longest / dt))
+    for g in groups:
+        count = np.minimum(model.groups[g].n, last_value.groups[g].n)
+        reached = np.flatnonzero(count >= np.maximum(rule.reach * count.max(initial=0), 1))
+        steps = min(steps, int(reached[-1]) + 1) if reached.size else 0
+    if not groups or steps * dt < rule.minimum - 1e-9:
+        raise DataError(
+            "not enough to judge a model by",
+            expected=f"errors up to {rule.minimum:g} s ahead of at least one channel group",
+            got=f"{len(groups)} group(s), {steps * dt:.3g} s",
+            fix="longer flights",
+        )
+    seconds: FloatArray = dt * np.arange(1, steps + 1, dtype=np.float64)
+    imu_only = set(groups) <= {"rate", "specific_force"}
+    at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
+    floors = {} if measured_imu is None else measured_imu.groups
+    compared = [_compare(g, model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups]
+    return _conclude(compared, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
+
+
+def _compare(
+    name: str,
+    model: GroupErrors,
+    last: GroupErrors,
+    floor: GroupErrors | None,
+    seconds: FloatArray,
+    at: int,
+    rule: Standard,
+) -> _Comparison:
+    steps = len(seconds)
+    own, held = model.mae[:steps], last.mae[:steps]
+    best = None if floor is None or len(floor.mae) < steps else floor.mae[:steps]
+    rival = held.copy()
+    short = seconds <= rule.short + 1e-9
+    if name == "specific_force":
+        rival[short] = np.maximum(held, held[_index(seconds, rule.short)])[short]
+    elif best is not None:
+        short &= np.isfinite(best)
+        rival[short] = np.maximum(held, np.minimum(best, rule.unfair * held))[short]
+    chance = np.minimum(standard_error(model, last, steps), rule.noise * held)
+    # A sample that is missing at a horizon (references sampled more slowly) says nothing.
+    known = np.isfinite(held) & ~np.isnan(own)
+    worse = known & ~(own <= rival + rule.equal * held + np.where(np.isfinite(chance), chance, 0.0))
+    scale = CALM[name]
+    if seconds[0] <= rule.sensor_sample:
+        scale = max(scale, rule.noise_motion * float(held[0]))
+    calm = bool(held[at] < scale)
+    excused = calm and bool(np.nanmax(own[: at + 1]) <= 2.0 * scale)
+    return _Comparison(name=name, model=own, last=held, floor=best, worse=worse, calm=calm, excused=excused)
+
+
+def standard_error(model: GroupErrors, last: GroupErrors, steps: int) -> FloatArray:
+    """Standard error (steps,) of the difference between the two mean errors, from blocks of consecutive origins.
+
+    Ratio estimator over blocks of unequal size (W. G. Cochran, "Sampling Techniques", 1977, section 6.3). NaN where
+    fewer than two blocks are there or an error is not finite.
+    """
+    out = np.full(steps, np.nan)
+    if len(model.block_sums) != len(last.block_sums) or len(model.block_sums) < 2:
+        return out
+    counts = model.block_counts[:, :steps]
+    with np.errstate(invalid="ignore"):
+        difference = model.block_sums[:, :steps] - last.block_sums[:, :steps]
+        total, used = counts.sum(axis=0), (counts > 0).sum(axis=0)
+        safe = np.maximum(total, 1.0)
+        left = difference - difference.sum(axis=0) / safe * counts
+        variance = used / np.maximum(used - 1, 1) * (left * left).sum(axis=0) / safe**2
+        out[:] = np.where(used > 1, np.sqrt(variance), np.nan)
+    return out
+
+
+def _index(seconds: FloatArray, wanted: float) -> int:
+    """The horizon nearest to `wanted` [s]."""
+    return int(np.argmin(np.abs(seconds - wanted)))
+
+
+def _conclude(
+    compared: Sequence[_Comparison],
+    seconds: FloatArray,
+    at: int,
+    rule: Standard,
+    judged_on: str,
+    flights: tuple[str, ...],
+    hints: list[Hint],
+) -> Verdict:
+    first = _index(seconds, rule.minimum)
+    excused = [c for c in compared if c.excused and c.worse[: at + 1].any()]
+    counted = [c for c in compared if c not in excused]
+    bad = np.any([c.worse for c in counted], axis=0) if counted else np.zeros(len(seconds), dtype=bool)
+    ends = int(np.argmax(bad)) if bad.any() else len(seconds)
+    useful = float(seconds[ends - 1]) if ends else 0.0
+    groups = tuple(_skill(c, seconds, at) for c in compared)
+    idle = [c for kind in KINDS for c in _no_better([c for c in counted if c.name in kind], slice(first, at + 1), rule)]
+    wrecked = [c for c in counted if not c.model[at] <= rule.wrecked * c.last[at]]
+    reason = action = anchor = ""
+    if ends <= first or wrecked or any(not c.calm for c in idle):
+        outcome = Outcome.NOT_USABLE
+        if ends <= first:
+            worst = min((c for c in counted if c.worse.any()), key=lambda c: int(np.argmax(c.worse)))
+        elif wrecked:
+            worst = max(wrecked, key=lambda c: float(c.model[at] / c.last[at]))
+        else:
+            worst = next(c for c in idle if not c.calm)
+        if not np.isfinite(worst.model[: at + 1]).all():
+            hints.append(Hint(symptom=Symptom.DIVERGED))
+        lost = ends <= first or bool(wrecked)
+        reason, action, anchor = likely(hints, symptom_of_group(worst.name) if lost else Symptom.NO_BETTER)
+        line = f"NOT USABLE: {_failure(worst, lost, seconds, at)}. Likely: {reason}; next: {action} ({anchor})"
+    elif excused or idle:
+        outcome = Outcome.TOO_CALM
+        which = [c for c in compared if c in excused or c in idle]
+        names = " and ".join(_word(c.name) for c in which)
+        reason = f"the flights hardly move in {names}"
+        action = f"judge on a flight with {TELLING[which[0].name]}"
+        anchor = Symptom.CALM.anchor
+        moved = ", ".join(f"{_word(c.name)} {_value(c.last[at], c.name)}" for c in which)
+        line = (
+            f"too calm to judge {names}: within {seconds[at]:.2g} s the flights change by {moved}, where holding the "
+            f"last value is nearly right; {action} ({anchor})"
+        )
+        if len(which) < len(compared):
+            line += f". The rest is {_useful(useful, len(seconds) == ends)}"
+    else:
+        outcome = Outcome.USABLE
+        line = (
+            f"{_useful(useful, len(seconds) == ends)}: errors stay below holding the last value; "
+            f"{seconds[at]:.2g} s ahead {', '.join(_compared(g) for g in groups)}"
+        )
+    if judged_on != TEST_FLIGHTS:
+        line += f" [judged on {judged_on}]"
+    return Verdict(
+        outcome=outcome,
+        line=line,
+        useful_seconds=useful,
+        judged_seconds=float(seconds[-1]),
+        judged_on=judged_on,
+        flights=flights,
+        groups=groups,
+        reason=reason,
+        action=action,
+        anchor=anchor,
+    )
+
+
+def _skill(c: _Comparison, seconds: FloatArray, at: int) -> GroupSkill:
+    floor = None if c.floor is None or not np.isfinite(c.floor[at]) else float(c.floor[at])
+    distance = float(c.last[at]) - (floor or 0.0)
+    gained = float(c.last[at] - c.model[at])
+    covered = gained / distance if distance > 0 else -math.inf if gained < 0 else 1.0
+    return GroupSkill(
+        name=c.name,
+        unit=GROUPS[c.name].unit,
+        seconds=float(seconds[at]),
+        error=float(c.model[at]),
+        last_value=float(c.last[at]),
+        measured_imu=floor,
+        covered=covered,
+        worse_from=float(seconds[int(np.argmax(c.worse))]) if c.worse.any() else None,
+        calm=c.calm,
+    )
+
+
+def _useful(useful: float, whole: bool) -> str:
+    return f"useful for {useful:.2g} s{' and more' if whole else ''}"
+
+
+def _word(group: str) -> str:
+    return group.replace("_", " ")
+
+
+def _value(value: float, group: str) -> str:
+    return f"{value:.2g} {GROUPS[group].unit}"
+
+
+def _compared(g: GroupSkill) -> str:
+    floor = "" if g.measured_imu is None else f", measured IMU {g.measured_imu:.2g}"
+    return f"{_word(g.name)} {g.error:.2g} {g.unit} (last value {g.last_value:.2g}{floor})"
+
+
+def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list[_Comparison]:
+    """The groups of a kind that together come nowhere in `span` clearly below the last value."""
+    if not kind:
+        return []
+    ratio = np.array([c.model[span] / np.maximum(c.last[span], 1e-300) for c in kind])
+    known = ratio[:, np.isfinite(ratio).all(axis=0)]
+    best = float(np.exp(np.log(np.maximum(known, 1e-300)).mean(axis=0)).min()) if known.size else np.inf
+    return [] if best < rule.better else list(kind)
+
+
+def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> str:
+    if lost:
+        start = float(seconds[int(np.argmax(worst.worse))])
+        text = f"{_word(worst.name)} is worse than holding the last value from {start:.2g} s on"
+    else:
+        text = f"{_word(worst.name)} is no better than holding the last value"
+    if not np.isfinite(worst.model[at]):
+        return f"{text}, and not finite"
+    own, last = _value(worst.model[at], worst.name), f"{worst.last[at]:.2g}"
+    return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
+
+
+def in_words(verdict: Verdict) -> list[str]:
+    """One plain sentence per group: how much of the way from the last value to the measured IMU the model covers."""
+    lines = []
+    for g in verdict.groups:
+        aim = "no error at all" if g.measured_imu is None else "the measured IMU"
+        if not math.isfinite(g.error):
+            said = "predictions are not finite"
+        elif g.covered < 0:
+            said = "worse than holding the last value"
+        else:
+            said = f"{100 * min(g.covered, 1.0):.0f} % of the way from the last value to {aim}"
+        calm = "; the flights hardly move in it" if g.calm else ""
+        worse = "" if g.worse_from is None else f"; the last value is better from {g.worse_from:.2g} s on"
+        lines.append(f"{_word(g.name)} {g.seconds:.2g} s ahead: {said}{worse}{calm}")
+    return lines

@@ -1,0 +1,96 @@
+"""export and mpc refuse a model that was judged not usable in one line, unless told --even-so; old files pass."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from greybox.cli import main
+from greybox.commands.judgement import gate
+from greybox.errors import FileFormatError
+from greybox.files import read_json
+from greybox.model.identified import IdentifiedModel
+from greybox.model.verdict import NOT_JUDGED, GroupSkill, Outcome, Verdict
+from greybox.residual.files import load_model, save_model
+from tests.mpc_export import cases
+
+LINES = {
+    Outcome.USABLE: "useful for 0.42 s: errors stay below holding the last value",
+    Outcome.TOO_CALM: "too calm to judge rotation",
+    Outcome.NOT_USABLE: "NOT USABLE: rotation is worse than holding the last value from 0.03 s on",
+}
+
+
+def verdict(outcome: Outcome, error: float = 0.2) -> Verdict:
+    skill = GroupSkill(
+        name="rotation", unit="rad", seconds=0.5, error=error, last_value=0.15, measured_imu=0.05,
+        covered=(0.15 - error) / 0.1, worse_from=0.03, calm=False,
+    )  # fmt: skip
+    return Verdict(
+        outcome=outcome, line=LINES[outcome], useful_seconds=0.02, judged_seconds=1.0, judged_on="flights",
+        flights=("a",), groups=(skill,),
+    )  # fmt: skip
+
+
+def written(folder: Path, outcome: Outcome | None, kind: str = "physics") -> Path:
+    model = cases.hybrid() if kind == "hybrid" else cases.physics()
+    path = folder / "model.json"
+    save_model(replace(model, verdict=None if outcome is None else verdict(outcome)), path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["physics", "hybrid"])
+def test_a_verdict_stays_with_its_file_and_leaves_with_a_change(kind: str, tmp_path: Path) -> None:
+    model = load_model(written(tmp_path, Outcome.USABLE, kind))
+    assert model.verdict == verdict(Outcome.USABLE)
+    assert model.with_values({"mass": 1.1 * model.values["mass"]}).verdict is None
+    schema = json.loads((Path(__file__).parents[2] / "greybox/schemas/model.json").read_text())
+    jsonschema.validate(read_json(tmp_path / "model.json"), schema)
+
+
+def test_errors_that_are_not_finite_survive_the_file(tmp_path: Path) -> None:
+    wild = verdict(Outcome.NOT_USABLE, float("inf"))
+    save_model(replace(cases.physics(), verdict=wild), tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").verdict == wild
+
+
+@pytest.mark.parametrize("command", ["export", "mpc"])
+@pytest.mark.parametrize("kind", ["physics", "hybrid"])
+def test_what_is_not_usable_is_refused_in_one_line(
+    command: str, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, Outcome.NOT_USABLE, kind)
+    out = tmp_path / "out"
+    assert main([command, str(path), "--out", str(out)]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert LINES[Outcome.NOT_USABLE] in line
+    assert "--even-so" in line
+    assert not out.exists()
+
+
+def test_even_so_goes_on_and_still_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, Outcome.NOT_USABLE)
+    assert main(["export", str(path), "--out", str(tmp_path / "out"), "--target", "casadi", "--even-so"]) == 0
+    assert f"warning: {path}: {LINES[Outcome.NOT_USABLE]}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("outcome", [Outcome.USABLE, Outcome.TOO_CALM, None])
+def test_everything_else_passes_and_says_what_it_is_worth(outcome: Outcome | None, tmp_path: Path) -> None:
+    path = written(tmp_path, outcome)
+    found = gate(read_json(path), str(path), even_so=False)
+    assert found.open
+    assert (NOT_JUDGED if outcome is None else LINES[outcome]) in found.line
+    assert ("warning" in found.line) is (outcome is not Outcome.USABLE)
+
+
+def test_a_broken_verdict_is_bad_input(tmp_path: Path) -> None:
+    content = dict(read_json(written(tmp_path, Outcome.USABLE)))
+    content["verdict"] = {"outcome": "usable"}
+    with pytest.raises(FileFormatError, match="verdict"):
+        gate(content, "model.json", even_so=False)
+    with pytest.raises(FileFormatError):
+        IdentifiedModel.from_dict(content)

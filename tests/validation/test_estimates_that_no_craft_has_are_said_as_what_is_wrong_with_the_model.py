@@ -1,0 +1,139 @@
+"""Estimates that no craft has, or that deny what was measured, are said as statements about the model with what to try."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from greybox.estimation.fit import Estimate, fit
+from greybox.model.model import build_model
+from greybox.model.vehicle import Quantity, Vehicle
+from greybox.validation.sanity import LIMITS, sanity, sanity_of
+from tests.simulated import ERRORS, flights, vehicle
+
+EFFECTS = ("motor_lag", "command_delay")
+
+CRAFT = Vehicle.from_dict(
+    {
+        "schema": "greybox.vehicle/2",
+        "mass": {"value": 0.043, "sigma": 0.0004},
+        "inertia": [[3e-5, 0.0, 0.0], [0.0, 3e-5, 0.0], [0.0, 0.0, 5e-5]],
+        "rotor": [
+            {"position": [x, y, 0.0], "spin": s}
+            for x, y, s in ((0.03, -0.03, 1), (-0.03, -0.03, -1), (-0.03, 0.03, 1), (0.03, 0.03, -1))
+        ],
+        "actuator": {"thrust": [0.0, 0.0, 0.15], "torque": [0.0, 0.0, 9e-4]},
+    }
+)
+UNITS = {"mass": "kg", "motor_lag.tau": "s", "command_delay.d": "s"}
+
+
+def estimate(name: str, value: float, *, at_bound: bool = False, prior: bool = True) -> Estimate:
+    quantity = CRAFT.quantities.get(name)
+    return Estimate(
+        name=name,
+        value=value,
+        std=0.0,
+        std_fisher=0.0,
+        unit=UNITS.get(name, ""),
+        scope="shared",
+        prior=(quantity.value, quantity.sigma) if quantity and prior else None,
+        prior_influence=0.0,
+        at_bound=at_bound,
+    )
+
+
+def judged(*estimates: Estimate):
+    return sanity({e.name: e for e in estimates}, CRAFT)
+
+
+def test_what_the_vehicle_file_says_is_sane():
+    assert judged(*(estimate(n, q.value) for n, q in CRAFT.quantities.items())).findings == ()
+    assert sanity({}, CRAFT).possible
+
+
+def test_a_weighed_mass_that_the_flights_deny_is_a_statement_about_thrust():
+    (found,) = judged(estimate("mass", 0.031)).findings
+    assert (found.kind, found.severity, found.parameters) == ("overruled", "doubtful", ("mass",))
+    assert "mass was weighed (43 +- 0.4 g) but the flights want 31 g" in found.statement
+    assert "thrust per command" in found.likely and "hold mass" in found.attempt and "free thrust.c2" in found.attempt
+    (other,) = judged(estimate("mass", 0.031), estimate("thrust.c2", 0.15)).findings
+    assert "ratio" in other.likely and "free thrust" not in other.attempt
+
+
+@pytest.mark.parametrize(("sigmas", "said"), [(3.9, False), (4.1, True), (-4.1, True)])
+def test_a_prior_counts_as_denied_beyond_four_sigma(sigmas, said):
+    q = CRAFT.quantities["inertia.xx"]
+    report = judged(estimate("inertia.xx", q.value + sigmas * 0.1 * q.sigma, prior=False))
+    assert not any(f.kind == "overruled" for f in report.findings)
+    narrow = replace(estimate("thrust.c2", 0.15 + sigmas * 0.001), prior=(0.15, 0.001))
+    assert any(f.kind == "overruled" for f in judged(narrow).findings) is said
+
+
+def test_a_prior_at_its_four_sigma_bound_is_denied_too():
+    stuck = replace(estimate("thrust.c2", 0.154, at_bound=True), prior=(0.15, 0.001))
+    assert [f.kind for f in judged(stuck).findings] == ["overruled"]
+
+
+def test_negative_drag_torque_at_hover_is_impossible():
+    report = judged(estimate("torque.c2", -2e-4))
+    assert not report.possible
+    assert any("negative at hover" in f.statement and "spins" in f.attempt for f in report.findings)
+    mixed = {"torque.c0": -1e-5, "torque.c2": 9e-4}
+    assert judged(*(estimate(n, v, prior=False) for n, v in mixed.items())).possible
+
+
+def test_thrust_that_cannot_carry_the_craft_is_impossible():
+    assert not judged(estimate("thrust.c2", 0.03, prior=False)).possible
+    assert not judged(estimate("thrust.c2", -0.15, prior=False)).possible
+
+
+def test_a_delay_before_its_cause_is_impossible_and_a_slow_motor_doubtful():
+    assert not judged(estimate("command_delay.d", -0.004)).possible
+    (slow,) = judged(estimate("motor_lag.tau", 0.45)).findings
+    assert slow.severity == "doubtful"
+    assert judged(estimate("motor_lag.tau", 0.08)).findings == ()
+
+
+def test_moments_that_no_body_has_are_impossible_and_those_of_a_rounded_table_doubtful():
+    def moments(zz):
+        each = (("inertia.xx", 3e-5), ("inertia.yy", 3e-5), ("inertia.zz", zz))
+        return judged(*(estimate(n, v, prior=False) for n, v in each))
+
+    assert moments(5.9e-5).findings == ()
+    assert [f.severity for f in moments(6.1e-5).findings] == ["doubtful"]
+    assert not moments(7e-5).possible
+    assert not judged(estimate("inertia.xx", 3e-3, prior=False)).possible
+
+
+def test_three_parameters_at_bounds_are_one_missing_cause():
+    two = [estimate(n, CRAFT.quantities[n].value, at_bound=True) for n in ("mass", "inertia.xx")]
+    assert judged(*two).findings == ()
+    (found,) = judged(*two, estimate("inertia.yy", 3e-5, at_bound=True)).findings
+    assert found.kind == "bounds" and "3 of 3 parameters" in found.statement and "motor_lag" in found.attempt
+
+
+def test_the_record_is_plain_and_the_limits_have_sources():
+    report = judged(estimate("mass", 0.031), estimate("torque.c2", -2e-4))
+    assert [f.severity for f in report.findings] == sorted((f.severity for f in report.findings), reverse=True)
+    assert json.loads(json.dumps(report.to_dict()))["possible"] is False
+    assert all(limit.source for limit in LIMITS.values())
+    assert report.lines()[0].startswith("impossible: ")
+
+
+@pytest.mark.parametrize("schema", ["greybox.vehicle/1", "greybox.vehicle/2"])
+def test_a_real_fit_with_a_falsified_mass_says_so(schema):
+    true, data = vehicle(), flights(1, 6.0)
+    mass = Quantity(value=1.4 * true.mass.value, sigma=0.014 * true.mass.value)
+    exact = tuple(Quantity(value=q.value / ERRORS["thrust.c2"]) for q in true.actuator.thrust)
+    heavy = replace(true, mass=mass, actuator=replace(true.actuator, thrust=exact), schema=schema)
+    found = sanity_of(fit(build_model(heavy, data.channels, EFFECTS), data)).findings
+    assert any(f.kind == "overruled" and f.parameters == ("mass",) for f in found)
+
+
+def test_a_real_fit_with_an_honest_vehicle_file_is_possible():
+    data = flights(1, 6.0)
+    report = sanity_of(fit(build_model(vehicle(), data.channels, EFFECTS), data))
+    assert report.possible and not any(f.kind in ("overruled", "bounds") for f in report.findings)
