@@ -39,8 +39,13 @@ SETTLED = 1e-6
 """Relative difference to the settled gain from which on it is that one. A wrong gain costs the square of
 that."""
 TOLD = 0.5
-"""Standard deviation of an error of the start, given all samples, in units of that without them, below which the
-linearisation tells it. Of the others (heading without a compass) the flight itself may tell more."""
+"""Standard deviation of an error of the start, given the first samples, in units of that without them, below which the
+filter carries it. Of the others (heading without a compass, tilt or velocity that show late) the linearisation knows too
+little: they are unknowns, and the flight itself tells them."""
+SOON = 0.1
+"""Seconds that count as first, as where records are made."""
+READINGS = 4
+"""Readings of every channel that count as first, at least."""
 NOTHING = 1e-6
 """Share of the pseudo-measurement's spread (100 times that of a start) that counts as no error of a state."""
 
@@ -169,9 +174,10 @@ class Settling:
         return stationary(self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost)
 
     def told(self, record: Record) -> BoolArray:
-        """Which errors of a record's start (n_d,) its samples tell, as far as the linearisation knows."""
+        """Which errors of a record's start (n_d,) its first samples tell, as far as the linearisation knows."""
         pattern = record.usual
-        e = self.cycle(pattern, max(0, (record.n // pattern.length).bit_length() - 1))
+        cycles = max(READINGS, round(SOON / record.dt) // pattern.length)
+        e = self.cycle(pattern, (cycles - 1).bit_length())
         sigma = record.x0_sigma / self._unit
         # The pseudo-measurement tells nothing of a start: it is a hundred times as wide.
         after = np.linalg.inv(np.eye(sigma.size) + sigma[:, None] * e.G * sigma)
