@@ -27,6 +27,10 @@ class Pattern:
         """Number of samples L."""
         return len(self.there)
 
+    def at(self, n: int) -> BoolArray:
+        """Which channels are usually there at n samples, (n, n_e)."""
+        return self.there[np.arange(n) % self.length]
+
     @cached_property
     def runs(self) -> tuple[tuple[int, int], ...]:
         """(first phase, number of phases) of samples in a row with the same channels."""
