@@ -231,7 +231,7 @@ def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
     """Innovation components that are missing in more than `share` of the samples where the record's pattern has them."""
     total = sum(r.n for r in problem.records)
     lost = sum((r.usual.at(r.n) & (r.mask == 0)).sum(axis=0) for r in problem.records) / total
-    seen = np.concatenate([r.mask for r in problem.records]).any(axis=0)
+    seen = np.concatenate([r.mask for r in problem.records]).sum(axis=0) > 0
     return [n for n, s, v in zip(problem.dynamics.innovations.names, lost, seen, strict=True) if v and s > share]
 
 
