@@ -35,7 +35,7 @@ _PUBLIC = {
     "learn": "greybox.residual.learn",
     "discover": "greybox.discovery.workflow",
     "plan": "greybox.planning.plan",
-    "fit": "greybox.estimation.fit",
+    "fit": "greybox.automatic",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
     "fit_report": "greybox.report.fit_report",
@@ -83,7 +83,8 @@ if TYPE_CHECKING:
     from greybox.data.logs import read_log, read_logs
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
-    from greybox.estimation.fit import Fit, fit
+    from greybox.automatic import fit
+    from greybox.estimation.fit import Fit
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel

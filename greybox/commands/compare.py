@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from greybox.commands.fit import model_options, names
 from greybox.commands.judgement import horizon_options
+from greybox.commands.model_options import model_options, names
 
 
 def add(subparsers: Any) -> None:
@@ -45,8 +45,8 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
-    from greybox.commands.fit import fit_with
     from greybox.commands.judgement import given_horizons, horizon_steps
+    from greybox.commands.model_options import fit_with
     from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from greybox.commands.fit import names
+from greybox.commands.model_options import names
 
 
 def set_aside(path: Path) -> Path:

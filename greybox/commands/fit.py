@@ -5,40 +5,22 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
-    from greybox.estimation.options import FitOptions
+    from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
-    from greybox.estimation.solver import Progress, Solver
     from greybox.model.vehicle import Vehicle
+    from greybox.validation.result import Validation
 
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.model_options import fit_with, given, model_options
 
-
-def names(text: str) -> tuple[str, ...]:
-    """A comma-separated list of names."""
-    return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-def noise_levels(text: str) -> dict[str, float]:
-    """name=value,name=value: noise levels in SI units, "noise." may be left out (sensor.p=0.05)."""
-    return {n if n.startswith("noise.") else f"noise.{n}": v for n, v in values(text).items()}
-
-
-def values(text: str) -> dict[str, float]:
-    """name=value,name=value: parameter values in SI units."""
-    out = {}
-    for part in names(text):
-        name, _, value = part.partition("=")
-        try:
-            out[name] = float(value)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"expected NAME=NUMBER, got '{part}'") from None
-    return out
+Say = Callable[[str], None]
 
 
 def add(subparsers: Any) -> None:
@@ -46,7 +28,8 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "fit",
         help="fit a Newton-Euler model to flight logs",
-        description="Fit a Newton-Euler model to flight logs by the prediction error method. Writes fit.json, model.json "
+        description="Fit a Newton-Euler model to flight logs by the prediction error method. What is not said is decided "
+        "from the flights, each choice with its reason, and the explicit command is printed. Writes fit.json, model.json "
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
         "interrupted.",
     )
@@ -58,144 +41,63 @@ def add(subparsers: Any) -> None:
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     horizon_options(p)
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
+    p.add_argument("--keep-impossible", action="store_true", help="keep samples that no craft can have made")
+    p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
 
-def model_options(p: Any) -> None:
-    """Declare what says how the model is built and fitted; `fit_with` takes it."""
-    p.add_argument("--effects", type=names, default=(), metavar="a,b", help="effects besides those in the vehicle file")
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
-                   help="add the effects of these Python files, which are run (only what you trust)")  # fmt: skip
-    p.add_argument("--disturbance", type=names, default=(), metavar="force,torque", help="disturbance states")
-    p.add_argument("--per-flight", type=names, default=(), metavar="a,b", help="parameters with one value per flight")
-    p.add_argument("--shared", type=names, default=(), metavar="a,b", help="parameters with one value for all flights")
-    p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at their value")
-    p.add_argument("--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters")
-    p.add_argument(
-        "--predictor",
-        default="innovation",
-        help="innovation, kalman, k-step, multi-step, multiple-shooting, simulation",
-    )
-    p.add_argument("--criterion", default="gaussian", help="gaussian, robust, least-squares")
-    p.add_argument(
-        "--solver", default="levenberg-marquardt", help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt"
-    )
-    p.add_argument("--init", default="equation-error", help="equation-error, noise, nominal, multistart, innovation")
-    p.add_argument("--noise", type=noise_levels, default={}, metavar="sensor.p=0.02,...",
-                   help="noise levels to start from, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
-    p.add_argument(
-        "--value", type=values, default={}, metavar="a=1,b=2", help="start values (of fixed parameters: values)"
-    )
-    p.add_argument("--hold-noise", nargs="?", const="all", default="none", choices=("none", "sensor", "all"),
-                   help="hold the sensors' or all noise levels at their start")  # fmt: skip
-    p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
-    p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
-    p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
-
-
-def fit_with(
-    arguments: argparse.Namespace, vehicle: Vehicle, train: Dataset, progress: Progress | None = None
-) -> Fit:
-    """Build the model that the options ask for and fit it to the flights of `train`. Returns a `Fit`."""
-    from greybox.estimation.fit import fit
-    from greybox.estimation.record import sample_time
-    from greybox.model.effects_file import load_effects
-    from greybox.model.model import build_model
-
-    model = build_model(
-        vehicle,
-        train.channels,
-        (*arguments.effects, *(e for path in arguments.effects_file for e in load_effects(path))),
-        input=arguments.input,
-        sample_time=sample_time(train),
-        noncausal=train.noncausal,
-        kinematic_noise=arguments.kinematic_noise,
-    )
-    return fit(model, train, fit_options(arguments), progress=progress)
-
-
-def fit_options(arguments: argparse.Namespace) -> FitOptions:
-    """The choices that the command's arguments make."""
-    from greybox.estimation.options import FitOptions
-
-    held = arguments.hold_noise
-    return FitOptions(
-        predictor=arguments.predictor,
-        criterion=arguments.criterion,
-        solver=_solver(arguments.solver, arguments.max_iterations),
-        initialisation=arguments.init,
-        disturbance=arguments.disturbance,
-        free=arguments.free,
-        fixed=arguments.fixed,
-        per_flight=arguments.per_flight,
-        shared=arguments.shared,
-        values=arguments.value,
-        noise=arguments.noise,
-        estimate_noise="process" if held == "sensor" else held == "none",
-        seed=arguments.seed,
-    )
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Read, check, fit, validate, report."""
+    """Read, check, decide, fit, validate, report."""
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data import Dataset
-    from greybox.data.checks import check
-    from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
-    from greybox.estimation.record import sample_time
     from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
-    from greybox.validation.advice import hints_of_checks, hints_of_fit
-    from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
-    say = (lambda *a: None) if quiet else (lambda *a: print(*a, file=sys.stderr))
-    horizons = given_horizons(arguments)
-    vehicle = read_vehicle(arguments.vehicle)
-    train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
-    test = (
-        read_logs(arguments.test, vehicle, rate=arguments.rate, mapping=arguments.mapping)
-        if arguments.test
-        else Dataset(flights=())
-    )
-    both = sorted(set(train.names) & set(test.names))
-    if both:
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
-        )
-    if test.flights and abs(sample_time(test) - sample_time(train)) > 1e-6 * sample_time(train):
-        test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train), mapping=arguments.mapping)
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(text, file=sys.stderr, flush=True)
+
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
-    faults = check(train + test, vehicle)
-    warnings = [f"data fault in {f.flight}: {f.message}" for f in faults.findings if f.severity == "blocking"]
+    horizons = given_horizons(arguments)
+    vehicle = read_vehicle(arguments.vehicle)
+    prepared, test = _flights(arguments, vehicle)
+    warnings = [f"data fault in {f.flight}: {f.message}" for f in prepared.report.findings if f.severity == "blocking"]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
     say_vehicle(vehicle, say)
-    say(f"{train}")
+    say(f"{prepared.data}")
 
     def progress(iteration: int, cost: float, decrement: float) -> None:
         say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
 
     out = Path(arguments.out)
 
-    def save(result: Any) -> dict[str, Any]:
+    def save(result: Fit) -> dict[str, Any]:
         content: dict[str, Any] = result.to_dict()
         content["warnings"] = [*warnings, *content["warnings"]]
         ours = sys.argv[1:2] == ["fit"]
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"
+        if "explicit" in content:
+            content["explicit"]["command"] = _explicit(arguments, prepared, result)
         write_json(out / "fit.json", content)
         result.model.save(out / "model.json")
         return content
 
+    pieces: tuple[Any, Dataset] | None = None
     try:
-        result = fit_with(arguments, vehicle, train, progress)
+        if arguments.manual:
+            result = fit_with(arguments, vehicle, prepared.data, progress)
+        else:
+            result, pieces = _decided(arguments, vehicle, prepared, say, progress)
     except Interrupted as stop:
         save(stop.kept)
         for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
@@ -204,34 +106,28 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     # The fit is safe before anything else can go wrong.
     content = save(result)
-    validated = test if test.flights else train
+    physics = _sanity_lines(result)
     checked: dict[str, Any] | None = None
     table = ""
     try:
-        hints = (
-            *hints_of_checks(faults, effects=result.model.effects, kinematic_noise=arguments.kinematic_noise),
-            *hints_of_fit(result),
-        )
-        seen = validate(result.model, validated, **horizons, adapt=arguments.adapt, hints=hints)
+        seen = _validated(arguments, result, prepared, test, pieces, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
-        checked, table = seen.to_dict(), seen.table_text()
+        checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
         write_json(out / "fit.json", content)
     if checked is not None:
         if not test.flights:
-            checked.setdefault("warnings", []).insert(
-                0, "validated on the flights that were fitted: give --test flights"
-            )
-            table = ""
+            where = "pieces of the training flights" if pieces else "the flights that were fitted"
+            checked.setdefault("warnings", []).insert(0, f"validated on {where}: give --test flights")
         write_json(out / "validate.json", checked)
     else:
         (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
     page = fit_report(
-        content, series(result.model, train, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"
+        content, series(result.model, prepared.data, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"
     )
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
@@ -239,21 +135,128 @@ def run(arguments: argparse.Namespace) -> int:
     elif arguments.json:
         write_json(arguments.json, content)
     if not quiet:
-        print(result.summary())
-        if table:
-            print(f"{table}\n")
+        _print(result, physics, table, content)
         print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
     return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
 
 
-def _solver(name: str, limit: int | None) -> str | Solver:
-    """The solver, with another iteration limit where one is given."""
-    from greybox.errors import UnknownNameError
-    from greybox.estimation.solvers import SOLVERS
+def _print(result: Fit, physics: Sequence[str], table: str, content: Mapping[str, Any]) -> None:
+    """The verdict and what physics says, the decisions with their reasons, the estimates, the explicit command."""
+    first, *rest = result.summary().splitlines()
+    print(first)
+    for line in physics:
+        print(line)
+    if result.provenance.decisions:
+        print("\nDecided, because nothing else was said:")
+        for decision in result.provenance.decisions:
+            print(f"  {decision.line()}")
+        print()
+    print("\n".join(rest))
+    if table:
+        print(f"{table}\n")
+    if "explicit" in content:
+        print(f"The same as an explicit command:\n  {content['explicit']['command']}")
 
-    if name not in SOLVERS:
-        raise UnknownNameError("solver", name, SOLVERS)
-    return name if limit is None else SOLVERS[name](max_iterations=limit)
+
+def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared, Dataset]:
+    """(training flights as they are fitted, test flights at their rate). Raises `GreyboxError` for a flight in both."""
+    from greybox.automatic.fit import prepare, read_flights
+    from greybox.automatic.samples import without_impossible
+    from greybox.data import Dataset
+    from greybox.data.logs import read_table
+    from greybox.errors import DataError, GreyboxError
+    from greybox.estimation.record import sample_time
+
+    def read(paths: Sequence[str]) -> list[RawLog]:
+        return [read_table(p, vehicle, mapping=arguments.mapping) for p in paths]
+
+    logs, others = read(arguments.train), read(arguments.test)
+    names = [r.flight for r in logs]
+    double = sorted({n for n in names if names.count(n) > 1})
+    if double:
+        raise DataError(f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own file name")
+    both = sorted({r.flight for r in logs} & {r.flight for r in others})
+    if both:
+        raise GreyboxError(
+            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+        )
+    prepared = prepare(
+        vehicle, logs, rate=arguments.rate, keep_impossible=arguments.keep_impossible,
+        all_flights=arguments.all_flights or arguments.manual, decide_rate=not arguments.manual,
+    )  # fmt: skip
+    if not arguments.keep_impossible:
+        others = [without_impossible(r, vehicle)[0] for r in others]
+    test = read_flights(others, vehicle, rate=prepared.rate) if others else Dataset(flights=())
+    dt = sample_time(prepared.data)
+    if test.flights and any(abs(f.dt - dt) > 1e-6 * dt for f in test):
+        test = read_flights(others, vehicle, rate=1 / dt)
+    return prepared, test
+
+
+def _decided(
+    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, say: Say, progress: Any
+) -> tuple[Fit, tuple[Any, Dataset] | None]:
+    """(the automatic fit, (model of the first parts of the flights, pieces left out) or None)."""
+    from greybox.automatic.decide import decide
+    from greybox.automatic.facts import facts_of
+    from greybox.automatic.fit import fit_decided
+
+    say("deciding what is open, on pieces of the flights that are left out:")
+    for done in prepared.decisions():
+        say(f"  {done.about}: {done.choice} ({done.reason})")
+    facts = facts_of(prepared.data, vehicle, prepared.report)
+    decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+    say("fitting all flights:")
+    result = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+    if decided.candidate is None or decided.left_out is None:
+        return result, None
+    return result, (decided.candidate.fit.model, decided.left_out)
+
+
+def _validated(
+    arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
+    pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
+) -> Validation:  # fmt: skip
+    """On test flights where there are any, else on pieces left out, else on the flights that were fitted."""
+    from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
+    from greybox.validation.sanity import sanity_of
+    from greybox.validation.usefulness import LEFT_OUT
+    from greybox.validation.validate import validate
+
+    recipe = result.provenance.recipe
+    kinematic = bool(arguments.kinematic_noise) if recipe is None else recipe.kinematic_noise
+    hints = (
+        *hints_of_checks(prepared.report, effects=result.model.effects, kinematic_noise=kinematic),
+        *hints_of_sanity(sanity_of(result)),
+        *hints_of_fit(result),
+    )
+    adapt = arguments.adapt if recipe is None else recipe.adapt
+    if test.flights:
+        if adapt is not None and arguments.adapt is None and min(f.duration for f in test) < 3 * adapt:
+            adapt = None
+        return validate(result.model, test, **horizons, adapt=adapt, hints=hints)
+    if pieces is not None:
+        return validate(pieces[0], pieces[1], **horizons, hints=hints, judged_on=LEFT_OUT)
+    return validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+
+
+def _sanity_lines(result: Fit) -> list[str]:
+    from greybox.validation.sanity import sanity_of
+
+    return sanity_of(result).lines()
+
+
+def _explicit(arguments: argparse.Namespace, prepared: Prepared, result: Fit) -> str:
+    """The explicit command line: every choice is said, flights that were left out are not named."""
+    recipe = result.provenance.recipe
+    assert recipe is not None
+    out = {f.flight for f in prepared.left_out}
+    train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
+    words = recipe.command_line(arguments.vehicle, train, arguments.test)
+    more = ["--mapping", arguments.mapping] if arguments.mapping else []
+    more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
+    more += ["--keep-impossible"] if arguments.keep_impossible else []
+    return words + (" " + shlex.join(more) if more else "")
 
 
 def series(

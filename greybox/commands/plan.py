@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from greybox.commands.fit import names, noise_levels, values
+from greybox.commands.model_options import names, noise_levels, values
 
 
 def numbers(text: str) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.errors import FitError, UnknownNameError
+from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
@@ -85,10 +85,42 @@ def fit(
             theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
-        result = _finish(problem, data, theta, status, began, _settings(problem, options))
+        added = _considered_spread(problem, data, options, theta) if options.considered else None
+        result = _finish(problem, data, theta, status, began, _settings(problem, options), added)
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
+
+
+def _considered_spread(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> FloatArray:
+    """What the stated errors of held parameters add to the covariance of the unknowns, (n, n).
+
+    A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian of the
+    problem in which it is free (consider covariance: Schmidt 1966, Application of state-space methods to
+    navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004, Statistical Orbit
+    Determination, ch. 6). Raises `ModelError` for one that is not held or has no stated error.
+    """
+    declared = {d.name: d for d in problem.dynamics.parameters}
+    for name in options.considered:
+        if name not in options.fixed or name not in declared:
+            raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
+        if not 0 < declared[name].sigma < np.inf:
+            raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
+    fixed = tuple(n for n in options.fixed if n not in options.considered)
+    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed))
+    own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
+    base = dict(zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True))
+    at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
+    places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
+    mine = np.array([places[u.name, u.flight] for u in problem.unknowns])
+    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own])
+    value = wide.evaluate(at)
+    if value.hessian is None:
+        return np.zeros((problem.n, problem.n))
+    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine, mine)])
+    moves = -inverse @ value.hessian[np.ix_(mine, others)]
+    sigma = np.array([wide.unknowns[i].sigma for i in others])
+    return (moves * sigma**2) @ moves.T
 
 
 def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
@@ -99,7 +131,7 @@ def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
         "disturbance": list(options.disturbance), "estimate_noise": options.estimate_noise, "seed": options.seed,
         "per_flight": sorted({u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}),
         "fixed": sorted({d.name for d in problem.dynamics.parameters} - set(problem.engine.active)),
-        "compiled": problem.engine.compiled,
+        "compiled": problem.engine.compiled, "considered": sorted(options.considered),
     }  # fmt: skip
 
 
@@ -135,9 +167,10 @@ def noise_of(model: IdentifiedModel) -> dict[str, float]:
 
 
 def _finish(
-    problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float, settings: Mapping[str, Any]
-) -> Fit:
-    """Errors, identifiability and the identified model at the solution."""
+    problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float, settings: Mapping[str, Any],
+    added: FloatArray | None = None,
+) -> Fit:  # fmt: skip
+    """Errors, identifiability and the identified model at the solution; `added` (n, n) joins the covariance."""
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
     # predictor that looks further ahead.
     ahead = max(problem.predictor.horizons)
@@ -156,6 +189,10 @@ def _finish(
         held = (low & (g > 0)) | (high & (g < 0))
         spread = covariance(value.hessian, value.scores, precision, held)
         data_hessian = value.data_hessian
+        if added is not None:
+            free_rows = np.where(held, 0.0, 1.0)
+            more = added * np.outer(free_rows, free_rows)
+            spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
             warnings.append("the solver stopped at its own tolerance, but a full step would still lower the cost")
     one_step = problem.predictor.one_step

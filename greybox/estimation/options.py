@@ -28,8 +28,8 @@ Options = TypeVar("Options", bound="DataclassInstance")
 _FLAGS = {
     "predictor": "--predictor", "criterion": "--criterion", "solver": "--solver",
     "initialisation": "--init", "disturbance": "--disturbance", "free": "--free",
-    "fixed": "--fixed", "per_flight": "--per-flight", "shared": "--shared", "values": "--value",
-    "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
+    "fixed": "--fixed", "considered": "--considered", "per_flight": "--per-flight",
+    "shared": "--shared", "values": "--value", "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
 }
 
 
@@ -43,6 +43,7 @@ class FitChoices(TypedDict, total=False):
     disturbance: Iterable[str]
     free: Iterable[str] | None
     fixed: Iterable[str]
+    considered: Iterable[str]
     per_flight: Iterable[str]
     shared: Iterable[str]
     values: Mapping[str, float] | None
@@ -76,6 +77,9 @@ class FitOptions:
     """Exactly these parameters are free, less `fixed`; None: those with a prior (sigma > 0)."""
     fixed: tuple[str, ...] = ()
     """Parameters that are held at their value."""
+    considered: tuple[str, ...] = ()
+    """Of the fixed parameters those whose stated uncertainty widens the errors of the others (they have a
+    prior): held, yet not believed to be exact."""
     per_flight: tuple[str, ...] = ()
     """Parameters with one value per flight, besides those whose declared scope is flight."""
     shared: tuple[str, ...] = ()
@@ -104,7 +108,7 @@ class FitOptions:
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        for name in ("disturbance", "free", "fixed", "per_flight", "shared", "build"):
+        for name in ("disturbance", "free", "fixed", "considered", "per_flight", "shared", "build"):
             given: Iterable[str] | None = getattr(self, name)
             object.__setattr__(self, name, None if given is None else tuple(given))
         for name in ("values", "priors", "flight_priors", "noise"):

@@ -286,7 +286,7 @@ def make_problem(
     own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(o.per_flight))
     own -= set(known(o.shared))
     dt = sample_time(dataset)
-    wanted = set(chosen if o.build is None else known(o.build))
+    wanted = {*(chosen if o.build is None else known(o.build)), *known(o.considered)}
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
     engine = engine_for(dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)).select(tuple(chosen))
     records = make_records(engine, dataset)

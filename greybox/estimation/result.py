@@ -12,6 +12,7 @@ from greybox.errors import UnknownNameError
 from greybox.estimation.covariance import Covariance
 from greybox.estimation.identifiability import Combination
 from greybox.estimation.problem import Problem
+from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.status import Status
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel, library_versions
@@ -90,7 +91,8 @@ class Diagnostics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Provenance:
-    """What the fit was made of: `flights` and `settings` as in fit.json, `n_parameters` with noise levels."""
+    """What the fit was made of: `flights` and `settings` as in fit.json, `n_parameters` with noise levels. A fit that
+    was decided automatically holds its `recipe`, with which an explicit fit gives the same numbers, and the `decisions`."""
 
     problem: Problem
     flights: tuple[Mapping[str, Any], ...]
@@ -98,6 +100,8 @@ class Provenance:
     data_hash: str
     n_samples: int
     n_parameters: int
+    recipe: Recipe | None = None
+    decisions: tuple[Decision, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +111,10 @@ class Fit:
     estimates: Estimates
     diagnostics: Diagnostics
     provenance: Provenance
+
+    def with_history(self, recipe: Recipe, decisions: tuple[Decision, ...]) -> Fit:
+        """The same fit with the recipe it was made by and the decisions that led there."""
+        return replace(self, provenance=replace(self.provenance, recipe=recipe, decisions=decisions))
 
     @property
     def verdict(self) -> Verdict | None:
@@ -275,7 +283,19 @@ class Fit:
             "warnings": list(self.warnings),
             "data_hash": self.data_hash,
             "versions": library_versions(),
+            **self._history(),
         }  # fmt: skip
+
+    def _history(self) -> dict[str, Any]:
+        """Decisions and recipe of an automatic fit, as in fit.json."""
+        recipe = self.provenance.recipe
+        if recipe is None:
+            return {}
+        return {
+            "decisions": [d.to_dict() for d in self.provenance.decisions],
+            "recipe": recipe.to_dict(),
+            "explicit": {"options": recipe.arguments(), "python": recipe.to_python()},
+        }
 
     def save(self, folder: str) -> None:
         """Write fit.json and model.json into a folder, each atomically."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from greybox.data.checks import CheckReport
 from greybox.errors import DataError
 from greybox.estimation.fit import Fit
+from greybox.validation.sanity import Sanity
 
 PAGE = "docs/bad_fit.md"
 """The page whose sections the anchors name."""
@@ -225,3 +226,15 @@ def hints_of_fit(fit: Fit) -> tuple[Hint, ...]:
     if not fit.converged:
         out.append(Hint(symptom=Symptom.NOT_CONVERGED))
     return tuple(out)
+
+
+def hints_of_sanity(sanity: Sanity) -> tuple[Hint, ...]:
+    """What physics says about the estimates: impossible values, measured numbers that were overruled."""
+    return tuple(
+        Hint(
+            symptom=Symptom.IMPOSSIBLE if f.severity == "impossible" else Symptom.OVERRULED,
+            detail=f.line(),
+        )
+        for f in sanity.findings
+        if f.severity == "impossible" or f.kind == "overruled"
+    )

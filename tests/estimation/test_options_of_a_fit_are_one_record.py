@@ -12,7 +12,7 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 
-from greybox.commands.fit import fit_options, model_options
+from greybox.commands.model_options import fit_options, model_options
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.workflow import discover
 from greybox.errors import UnknownNameError

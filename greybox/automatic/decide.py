@@ -1,0 +1,377 @@
+"""decide: from flights and a vehicle file to the recipe of a fit, every choice with its reason.
+
+1. Of two numbers of which flights show the ratio alone the better known one is held.
+2. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
+   every flight, with disturbance states of force and torque, and foretell the part left out. The
+   smallest set within one standard error of the best is taken, less the steps that nothing feels.
+3. The thrust scale gets a value per flight where flights differ by more than their errors.
+4. Errors up to half a second ahead replace the likelihood where that foretells better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import scipy.stats
+
+from greybox.automatic.facts import WANDER, Facts
+from greybox.automatic.foretell import Score, foretell
+from greybox.automatic.sets import Step, names_of, nested_sets, per_flight_parameters
+from greybox.data import Dataset, Flight
+from greybox.errors import GreyboxError
+from greybox.estimation.fit import fit, noise_of
+from greybox.estimation.options import FitChoices, FitOptions
+from greybox.estimation.recipe import Decision, Recipe
+from greybox.estimation.record import sample_time
+from greybox.estimation.result import Fit
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.model.core_parameters import core_parameters
+from greybox.model.effect import Effect
+from greybox.model.model import PhysicsModel, build_model
+from greybox.model.vehicle import Vehicle
+
+FIRST_PART = 0.65
+"""Share of a flight that sets are fitted to; the rest is foretold."""
+ENOUGH_SECONDS = 150.0
+"""Flight time from which more only costs time when sets are compared."""
+SHORTEST = 6.0
+"""Flights shorter than this [s] are too short to leave a part out."""
+FELT = 3.0
+"""Standard errors from which one of a step's parameters counts as felt."""
+CLEAR = 0.01
+"""Probability below which flights count as different in their thrust scale (chi-square test)."""
+NOTICEABLE = 0.005
+"""... and the spread between them that matters: half a percent of thrust."""
+ADAPT = 5.0
+"""Seconds of a new flight from which its own parameters are taken."""
+QUICK = LevenbergMarquardt(tolerance=0.05, max_iterations=25)
+"""Solver of the comparison: ends within a third of a standard error of the optimum."""
+RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
+"""Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
+THRUST = "thrust.c2"
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What the user decided; None or absent: open. `choices` are fields of `FitOptions`."""
+
+    effects: tuple[str | Effect, ...] | None = None
+    input: Literal["command", "speed"] = "command"
+    kinematic_noise: bool | None = None
+    adapt: float | None = None
+    choices: FitChoices = field(default_factory=lambda: FitChoices())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A set of effects fitted to the first parts of the flights, and how it foretells the rest."""
+
+    steps: tuple[Step, ...]
+    fit: Fit
+    score: Score
+
+    @property
+    def name(self) -> str:
+        """That of the last step."""
+        return self.steps[-1].name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decided:
+    """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
+    flights and `left_out` the rest of them (both None where every flight is too short)."""
+
+    recipe: Recipe
+    decisions: tuple[Decision, ...]
+    candidate: Candidate | None
+    left_out: Dataset | None
+
+
+def decide(
+    vehicle: Vehicle, data: Dataset, facts: Facts, given: Given, *, say: Say = lambda text: None
+) -> Decided:
+    """The recipe for a fit of `vehicle` to `data`, which has the rate that it is fitted at.
+
+    `say` gets a line per thing done. Raises `DataError`, `ModelError` where no model can be built.
+    """
+    return _Decider(vehicle=vehicle, data=data, facts=facts, given=given, say=say).run()
+
+
+@dataclass(kw_only=True, eq=False)
+class _Decider:
+    vehicle: Vehicle
+    data: Dataset
+    facts: Facts
+    given: Given
+    say: Say
+    decisions: list[Decision] = field(default_factory=list)
+    kinematic_noise: bool = False
+
+    def run(self) -> Decided:
+        self._kinematics()
+        options = self._held(self._noise(self._disturbance(FitOptions.of(None, self.given.choices))))
+        parts = self._parts()
+        if self.given.effects is not None:
+            steps: tuple[Step, ...] = (Step(name="the effects asked for", effects=self.given.effects),)
+        else:
+            steps = nested_sets(self.vehicle, self.facts)
+        if parts is None:
+            self._note(
+                "effects", _listed(steps[:1]), f"every flight is shorter than {SHORTEST:g} s: "
+                "no piece can be left out to compare larger sets", "--effects",
+            )
+            return self._decided(steps[:1], options, None, None)
+        chosen = self._smallest_good(steps, options, parts)
+        if chosen is None:
+            return self._decided(steps[:1], options, None, None)
+        options, chosen = self._thrust_per_flight(options, chosen, parts)
+        options, chosen = self._criterion(options, chosen, parts)
+        return self._decided(chosen.steps, options, chosen, parts[1])
+
+    def _decided(
+        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
+    ) -> Decided:
+        recipe = Recipe(
+            effects=_effects(steps), input=self.given.input, kinematic_noise=self.kinematic_noise,
+            options=self._with_flight_values(options, steps),
+        )
+        return Decided(
+            recipe=replace(recipe, adapt=self._adapt(recipe)), decisions=tuple(self.decisions),
+            candidate=candidate, left_out=rest,
+        )
+
+    def _note(self, about: str, choice: str, reason: str, option: str) -> None:
+        self.decisions.append(Decision(about=about, choice=choice, reason=reason, option=option))
+        self.say(f"  {about}: {choice} ({reason})")
+
+    # ------------------------------------------------------------ from facts
+
+    def _kinematics(self) -> None:
+        if self.given.kinematic_noise is not None:
+            self.kinematic_noise = self.given.kinematic_noise
+        elif "attitude" in self.facts.sensors:
+            self.kinematic_noise = self.facts.wander > WANDER
+            self._note(
+                "noise on the attitude kinematics", "yes" if self.kinematic_noise else "no",
+                f"gyro and attitude drift apart by {self.facts.wander:.1f} samples within a flight",
+                "--kinematic-noise",
+            )
+
+    def _disturbance(self, options: FitOptions) -> FitOptions:
+        if "disturbance" in self.given.choices:
+            return options
+        felt = bool(self.facts.sensors & {"position", "velocity", "accelerometer"})
+        groups = ("force", "torque") if felt else ("torque",)
+        self._note(
+            "disturbance states", ", ".join(groups),
+            "gusts and what is not modelled push for a while; no parameter shall explain them",
+            "--disturbance",
+        )
+        return options.but(disturbance=groups)
+
+    def _noise(self, options: FitOptions) -> FitOptions:
+        if "noise" in self.given.choices:
+            return options
+        levels = {
+            f"noise.sensor.{component}": float(f"{level:.3g}")
+            for (sensor, component), level in self.facts.noise.items()
+            if sensor not in self.vehicle.noise
+        }
+        if not levels:
+            return options
+        self._note(
+            "sensor noise", "starts from the fastest part of each channel and is estimated",
+            "the vehicle file states none; third differences of the channels", "--noise",
+        )
+        return options.but(noise=levels)
+
+    def _held(self, options: FitOptions) -> FitOptions:
+        """Of two numbers of which the flights show the ratio alone, the one that is known better."""
+        if "fixed" in self.given.choices or "free" in self.given.choices:
+            return options
+        declared = {d.name: d for d in core_parameters(self.vehicle)}
+        held = []
+        for pair in RATIOS:
+            both = [declared[n] for n in pair[:2]]
+            if not all(0 < d.sigma < np.inf and d.nominal for d in both):
+                continue
+            better, worse = sorted(both, key=lambda d: d.sigma / abs(d.nominal))
+            held.append(better.name)
+            self._note(
+                better.name, f"held at {better.nominal:.4g} {better.unit}",
+                f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
+                f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
+                "--fixed, --considered",
+            )
+        return options.but(fixed=tuple(held), considered=tuple(held))
+
+    def _adapt(self, recipe: Recipe) -> float | None:
+        if self.given.adapt is not None:
+            return self.given.adapt
+        model = self._model(recipe.effects)
+        own = {d.name for d in model.parameters if d.scope == "flight"} | set(recipe.options.per_flight)
+        own -= set(recipe.options.shared) | set(recipe.options.fixed)
+        if not own:
+            return None
+        self._note(
+            "a new flight", f"adapts on its first {ADAPT:g} s",
+            f"{len(own)} parameters have one value per flight", "--adapt",
+        )
+        return ADAPT
+
+    # ------------------------------------------------------------ comparing on pieces left out
+
+    def _parts(self) -> tuple[Dataset, Dataset] | None:
+        """(first parts, the rest) of enough flights; None where all flights are too short."""
+        long = [f for f in self.data if f.duration >= SHORTEST]
+        if not long:
+            return None
+        every = max(1, int(np.ceil(sum(f.duration for f in long) / ENOUGH_SECONDS)))
+        some = long[::every]
+        cut = tuple(_first_seconds(f, ENOUGH_SECONDS / len(some)) for f in some)
+        return Dataset(flights=cut).split_by_time(FIRST_PART)
+
+    def _model(self, effects: tuple[str | Effect, ...]) -> PhysicsModel:
+        return build_model(
+            self.vehicle, self.data.channels, effects, input=self.given.input,
+            sample_time=sample_time(self.data), noncausal=self.data.noncausal,
+            kinematic_noise=self.kinematic_noise,
+        )
+
+    def _with_flight_values(self, options: FitOptions, steps: tuple[Step, ...]) -> FitOptions:
+        if "per_flight" in self.given.choices:
+            return options
+        own = per_flight_parameters(steps, self.vehicle)
+        return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
+
+    def _try(
+        self, steps: tuple[Step, ...], options: FitOptions, before: Candidate | None,
+        parts: tuple[Dataset, Dataset],
+    ) -> Candidate | None:
+        """`steps` fitted and judged, from where `before` ended; None where that is not possible."""
+        options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
+        if before is not None:
+            dropped = set(_names(before.steps)) - set(_names(steps))
+            start = {n: e.value for n, e in before.fit.parameters.items() if n.split(".")[0] not in dropped}
+            options = options.but(
+                values={**start, **options.values}, noise=noise_of(before.fit.model),
+                initialisation="nominal",
+            )
+        try:
+            found = fit(self._model(_effects(steps)), parts[0], options)
+            return Candidate(steps=steps, fit=found, score=foretell(found.model, parts[1]))
+        except GreyboxError as error:
+            self.say(f"  {steps[-1].name}: {error}")
+            return None
+
+    def _smallest_good(
+        self, steps: tuple[Step, ...], options: FitOptions, parts: tuple[Dataset, Dataset]
+    ) -> Candidate | None:
+        quick = options if "predictor" not in self.given.choices else options.but(
+            predictor="innovation", initialisation="equation-error"
+        )
+        tried: list[Candidate] = []
+        for i in range(1, len(steps) + 1):
+            got = self._try(steps[:i], quick, tried[-1] if tried else None, parts)
+            if got is not None:
+                tried.append(got)
+                self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
+        if not tried:
+            return None
+        best = min(tried, key=lambda c: c.score.mean)
+        chosen = next(c for c in tried if np.less_equal(*best.score.better_by(c.score)))
+        kept = _felt_steps(chosen)
+        if kept != chosen.steps:
+            chosen = self._try(kept, quick, chosen, parts) or chosen
+        listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
+        if self.given.effects is None:
+            self._note(
+                "effects", _listed(chosen.steps), "the smallest set within one standard error of the "
+                "best on pieces left out; squared error ahead over that of holding the last value, "
+                f"step by step: {listed}", "--effects, --per-flight",
+            )
+        return chosen
+
+    def _thrust_per_flight(
+        self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        open_question = "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        if not open_question or len(parts[0]) < 2 or THRUST not in chosen.fit.parameters:
+            return options, chosen
+        again = self._try(chosen.steps, options.but(per_flight=(THRUST,)), chosen, parts)
+        if again is None:
+            return options, chosen
+        each = np.array(list(again.fit.parameters[THRUST].per_flight.values()))
+        chance, spread = _differ(each[:, 0], each[:, 1])
+        gain, error = again.score.better_by(chosen.score)
+        differ = chance < CLEAR and spread > NOTICEABLE and gain > -error
+        self._note(
+            "thrust scale", "one value per flight" if differ else "one value for all flights",
+            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})", "--per-flight, --shared",
+        )
+        return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
+
+    def _criterion(
+        self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        """Multi-step errors in place of the likelihood where that foretells better by its error."""
+        if "predictor" in self.given.choices:
+            return options, self._try(chosen.steps, options, chosen, parts) or chosen
+        ahead = self._try(chosen.steps, options.but(predictor="multi-step"), chosen, parts)
+        if ahead is None:
+            return options, chosen
+        gain, error = ahead.score.better_by(chosen.score)
+        better = gain > error
+        self._note(
+            "criterion", "errors up to half a second ahead" if better else "likelihood one step ahead",
+            f"pieces left out: {ahead.score.mean:.3f} against {chosen.score.mean:.3f}, the difference "
+            f"+- {error:.3f}", "--predictor",
+        )
+        if better:
+            return options.but(predictor="multi-step", initialisation="innovation"), ahead
+        return options, chosen
+
+
+def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
+    return tuple(e for s in steps for e in s.effects)
+
+
+def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
+    return tuple(n for s in steps for n in names_of(s))
+
+
+def _listed(steps: tuple[Step, ...]) -> str:
+    return ", ".join(_names(steps)) or "none"
+
+
+def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
+    """The steps without those after the first whose every parameter is nothing within its error."""
+    kept = []
+    for step in candidate.steps:
+        names = _names((step,))
+        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in names]
+        numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
+        felt = any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
+        if felt or step is candidate.steps[0]:
+            kept.append(step)
+    return tuple(kept)
+
+
+def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
+    """(probability that equal values scatter so, relative spread) of estimates with errors."""
+    if not (np.isfinite(values).all() and np.isfinite(errors).all() and (errors > 0).all()):
+        return 1.0, 0.0
+    weights = errors**-2
+    middle = float((weights * values).sum() / weights.sum())
+    chi2 = float((weights * (values - middle) ** 2).sum())
+    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(values.std(ddof=1) / abs(middle))
+
+
+def _first_seconds(flight: Flight, seconds: float) -> Flight:
+    begin = float(flight.segments[0].t[0])
+    return flight.between(begin, begin + seconds) or flight

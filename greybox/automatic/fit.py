@@ -1,0 +1,187 @@
+"""fit_automatically: a vehicle file and flights in, the best model that they carry out, and why.
+
+Samples that cannot be are taken out, flights are brought to one rate, those of another craft are left
+out; then `decide` chooses and the recipe is fitted as the explicit command would. A stage that fails
+falls back to less, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from greybox.automatic.decide import Decided, Say
+from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
+from greybox.automatic.samples import Removed, without_impossible
+from greybox.automatic.sets import BASE
+from greybox.data import Dataset
+from greybox.data.checks import CheckReport, check
+from greybox.data.conditioning import condition
+from greybox.data.raw import RawLog
+from greybox.errors import FitError
+from greybox.estimation.fit import Progress, fit
+from greybox.estimation.recipe import Decision, Recipe
+from greybox.estimation.record import sample_time
+from greybox.estimation.result import Fit
+from greybox.model.effect import Effect
+from greybox.model.model import build_model
+from greybox.model.vehicle import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were resampled
+    to, None: their own; `names` are those of all flights that were given, in order."""
+
+    data: Dataset
+    report: CheckReport
+    removed: tuple[Removed, ...]
+    left_out: tuple[LeftOut, ...]
+    rate: float | None
+    names: tuple[str, ...]
+
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was done, as decisions."""
+        out = []
+        if self.rate is not None:
+            reason = "enough for the response of this craft, and one rate for all flights"
+            out.append(
+                Decision(about="rate", choice=f"{self.rate:g} Hz", reason=reason, option="--rate")
+            )
+        out += [
+            Decision(
+                about="impossible samples",
+                choice=f"{r.count} of {', '.join(r.channels)} missing in {r.flight}",
+                reason=f"{r.reason}, the first at t = {r.first_time:.2f} s",
+                option="--keep-impossible",
+            )
+            for r in self.removed
+        ]
+        out += [
+            Decision(
+                about="flights",
+                choice=f"{f.flight} left out",
+                reason=f.reason,
+                option="--all-flights",
+            )
+            for f in self.left_out
+        ]
+        return tuple(out)
+
+
+def read_flights(
+    logs: Sequence[RawLog], vehicle: Vehicle, *, rate: float | None = None, trim: bool = True
+) -> Dataset:
+    """Raw logs on a uniform clock of `rate` [Hz] (None: their own). Raises `DataError`."""
+    return Dataset(flights=tuple(condition(r, vehicle, rate=rate, trim=trim) for r in logs))
+
+
+def prepare(
+    vehicle: Vehicle,
+    logs: Sequence[RawLog] | Dataset,
+    *,
+    rate: float | None = None,
+    keep_impossible: bool = False,
+    all_flights: bool = False,
+    decide_rate: bool = True,
+) -> Prepared:
+    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs' own
+    where it is not to be decided).
+
+    Raises `DataError` for logs that are no flights.
+    """
+    trim = not isinstance(logs, Dataset)
+    raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
+    removed: tuple[Removed, ...] = ()
+    if not keep_impossible:
+        cleaned = [without_impossible(r, vehicle) for r in raws]
+        raws, removed = [c[0] for c in cleaned], tuple(x for c in cleaned for x in c[1])
+    if isinstance(logs, Dataset) and not removed:
+        data = logs
+    else:
+        own_rate = rate if not decide_rate else None
+        data = read_flights(raws, vehicle, rate=own_rate, trim=trim)
+    report = check(data, vehicle)
+    kept, left_out = (data, ()) if all_flights else sound_flights(data, vehicle, report)
+    wanted = rate if rate is not None or not decide_rate else needed_rate(kept)
+    if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
+        chosen = [r for r in raws if r.flight in kept.names]
+        kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
+    return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names)
+
+
+def fit_recipe(vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None) -> Fit:
+    """The explicit fit that a recipe describes, to flights that have its rate already."""
+    model = build_model(
+        vehicle, data.channels, recipe.effects, input=recipe.input, sample_time=sample_time(data),
+        noncausal=data.noncausal, kinematic_noise=recipe.kinematic_noise,
+    )
+    return fit(model, data, recipe.options, progress=progress)
+
+
+def fit_decided(
+    vehicle: Vehicle, prepared: Prepared, decided: Decided, *, say: Say = lambda text: None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls back
+    to the likelihood, then to the base set. Every step down is a decision with its reason.
+
+    Raises `FitError` where nothing can be fitted.
+    """
+    decisions = [*prepared.decisions(), *decided.decisions]
+    recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
+
+    def step_down(what: str, reason: str) -> None:
+        decisions.append(Decision(about="fallback", choice=what, reason=reason, option="--manual"))
+        say(f"  {what}: {reason}")
+
+    while True:
+        less = _less(recipe)
+        try:
+            found = fit_recipe(vehicle, prepared.data, recipe, progress)
+        except FitError as error:
+            if less is None:
+                raise
+            step_down(less[1], str(error))
+            recipe = less[0]
+            continue
+        bent = [n for n, e in found.parameters.items() if e.at_bound]
+        gone = [e for e in recipe.effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
+        if gone:
+            step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
+            recipe = _without(recipe, gone)
+            continue
+        if not found.converged and less is not None:
+            step_down(less[1], found.status.advice)
+            recipe = less[0]
+            continue
+        return found.with_history(recipe, tuple(decisions))
+
+
+def _name(effect: str | Effect) -> str:
+    return effect if isinstance(effect, str) else effect.name
+
+
+def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
+    """The recipe without some effects and what was said of their parameters."""
+    names = {_name(e) for e in effects}
+    options = recipe.options
+    return replace(
+        recipe,
+        effects=tuple(e for e in recipe.effects if _name(e) not in names),
+        options=options.but(
+            per_flight=tuple(n for n in options.per_flight if n.split(".")[0] not in names),
+            fixed=tuple(n for n in options.fixed if n.split(".")[0] not in names),
+            shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
+        ),
+    )
+
+
+def _less(recipe: Recipe) -> tuple[Recipe, str] | None:
+    """The next smaller recipe and what it is called; None below the base set."""
+    options = recipe.options
+    if options.predictor != "innovation":
+        plain = options.but(predictor="innovation", initialisation="equation-error")
+        return replace(recipe, options=plain), "likelihood one step ahead"
+    more = [e for e in recipe.effects if _name(e) not in BASE.effects]
+    return (_without(recipe, more), "rotors and sensors alone") if more else None

@@ -1,0 +1,109 @@
+"""How well a model foretells pieces of the training flights that were left out, in one number with a standard error.
+
+The score of a block of origins is the mean, over channel groups and horizons, of the squared error
+ahead in units of the mean squared error of holding the last value: below one is better than doing
+nothing. Two models are compared block by block, so that a rough piece counts against neither.
+(Hastie, Tibshirani and Friedman 2009, The Elements of Statistical Learning, sec. 7.10: the
+one-standard-error rule.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.estimation.filtering import Filter
+from greybox.model.identified import IdentifiedModel
+from greybox.symbolic import FloatArray
+from greybox.validation.baselines import persistence
+from greybox.validation.groups import GROUPS, error_norms
+from greybox.validation.open_loop import GroupReader, predict_from
+
+HORIZONS = (0.1, 0.5)
+"""Seconds ahead that count: what an attitude and a position controller look ahead."""
+BLOCK = 2.0
+"""Length of a block [s]: errors of origins that are closer share what caused them."""
+SPACING = 0.05
+"""Seconds between origins: neighbours tell the same."""
+SETTLE = 1.0
+"""Seconds at the start of a piece in which the filter finds its state."""
+WORST = 100.0
+"""Score of a block whose prediction is not finite: a hundred times worse than doing nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """`blocks` (n,): score of every block, in the same order for all models on the same pieces."""
+
+    blocks: FloatArray
+
+    @property
+    def mean(self) -> float:
+        """Mean over the blocks; 1 = holding the last value."""
+        return float(self.blocks.mean()) if self.blocks.size else float("inf")
+
+    def better_by(self, other: Score) -> tuple[float, float]:
+        """(how much lower this score is than `other`, standard error of that), from paired blocks."""
+        gain = other.blocks - self.blocks
+        if gain.size < 2:
+            return float(gain.sum()), float("inf")
+        return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
+
+
+def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = True) -> Score:
+    """Score of `model` on `pieces`, each with the parameters of its flight where the model has them.
+
+    Raises `DataError`, `FitError` where the model cannot run on them.
+    """
+    runner = Filter(model, use_compiler=use_compiler)
+    reader = GroupReader(model)
+    groups = reader.judged(pieces.any_channels)
+    dt = model.sample_time
+    steps = [max(1, round(h / dt)) for h in HORIZONS]
+    longest = steps[-1]
+    own: list[FloatArray] = []
+    held: list[FloatArray] = []
+    labels: list[FloatArray] = []
+    count = 0
+    for flight in pieces:
+        for segment in flight.segments:
+            settle = min(round(SETTLE / dt), segment.n // 4)
+            origins = np.arange(settle, segment.n - longest - 1, max(1, round(SPACING / dt)))
+            if origins.size == 0:
+                continue
+            run = runner.run(segment.without(flight.noncausal), p=model.flight_vector(flight.name))
+            references = {
+                g: segment.matrix(GROUPS[g].columns) for g in groups if set(GROUPS[g].columns) <= set(segment.names)
+            }
+            ahead = predict_from(runner.engine, reader, run, origins, steps=longest)
+            last = persistence(references, origins, steps=longest)
+            rows = np.full((2, origins.size, len(groups), len(steps)), np.nan)
+            for j, g in enumerate(groups):
+                if g not in references:
+                    continue
+                for k, h in enumerate(steps):
+                    truth = references[g][origins + h]
+                    with np.errstate(over="ignore", invalid="ignore"):
+                        e = error_norms(g, _safe(ahead[g][:, h - 1], truth), truth)
+                    lost = np.isfinite(truth).all(axis=1) & ~np.isfinite(e)
+                    rows[0, :, j, k] = np.where(lost, np.inf, e**2)
+                    rows[1, :, j, k] = error_norms(g, last[g][:, h - 1], truth) ** 2
+            own.append(rows[0])
+            held.append(rows[1])
+            block = ((origins - origins[0]) * dt // BLOCK).astype(int)
+            labels.append(count + block)
+            count += int(block[-1]) + 1
+    if not own:
+        return Score(blocks=np.zeros(0))
+    error, scale, label = np.concatenate(own), np.nanmean(np.concatenate(held), axis=0), np.concatenate(labels)
+    shares = np.minimum(error / np.maximum(scale, 1e-300), WORST)
+    return Score(blocks=np.array([np.nanmean(shares[label == b]) for b in range(count)]))
+
+
+def _safe(predicted: FloatArray, like: FloatArray) -> FloatArray:
+    """Predictions that are not finite as missing."""
+    out = np.array(predicted, dtype=np.float64)
+    out[~np.isfinite(out).all(axis=1) | (np.abs(out) > 1e6).any(axis=1)] = np.nan
+    return out

@@ -1,0 +1,95 @@
+"""fit: a vehicle or a model and flights in, a judged fit out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Unpack
+
+from greybox.automatic.decide import Given, Say, decide
+from greybox.automatic.facts import facts_of
+from greybox.automatic.fit import fit_decided, prepare
+from greybox.data import Dataset
+from greybox.errors import DataError
+from greybox.estimation.fit import fit as explicit_fit
+from greybox.estimation.options import FitChoices, FitOptions, says_choices
+from greybox.estimation.result import Fit
+from greybox.estimation.solver import Progress
+from greybox.model.dynamics import Dynamics
+from greybox.model.vehicle import Vehicle
+from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
+from greybox.validation.sanity import sanity_of
+from greybox.validation.usefulness import LEFT_OUT
+from greybox.validation.validate import validate
+
+
+def _quiet(text: str) -> None:
+    pass
+
+
+@says_choices(FitOptions)
+def fit(
+    subject: Vehicle | Dynamics,
+    data: Dataset,
+    options: FitOptions | None = None,
+    *,
+    test: Dataset | None = None,
+    progress: Progress | None = None,
+    say: Callable[[str], None] = _quiet,
+    **choices: Unpack[FitChoices],
+) -> Fit:
+    """Fit a vehicle or a model to flights.
+
+    A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
+    does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets a
+    line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options` and the
+    keywords describe, nothing is decided.
+
+    The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion, solver,
+    initialisation, disturbance, free, fixed, considered, per_flight, shared, values, priors,
+    flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build, use_compiler. Raises what
+    `greybox.estimation.fit.fit` raises.
+    """
+    if isinstance(subject, Vehicle):
+        said: FitChoices = choices if options is None else {**_said(options), **choices}
+        return _automatic(subject, data, test, said, say, progress)
+    return explicit_fit(subject, data, FitOptions.of(options, choices), progress=progress)
+
+
+def _said(options: FitOptions) -> FitChoices:
+    plain = FitOptions()
+    return {n: v for n, v in vars(options).items() if v != vars(plain)[n]}  # type: ignore[return-value]
+
+
+def _automatic(
+    vehicle: Vehicle,
+    data: Dataset,
+    test: Dataset | None,
+    choices: FitChoices,
+    say: Say,
+    progress: Progress | None,
+) -> Fit:
+    FitOptions.of(None, choices)  # an unknown keyword is said before any work is done
+    if test is not None and (both := sorted(set(data.names) & set(test.names))):
+        raise DataError(f"flight {', '.join(both)} is both train and test")
+    prepared = prepare(vehicle, data)
+    facts = facts_of(prepared.data, vehicle, prepared.report)
+    decided = decide(vehicle, prepared.data, facts, Given(choices=choices), say=say)
+    found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+    recipe = found.provenance.recipe
+    assert recipe is not None
+    hints = (
+        *hints_of_checks(
+            prepared.report, effects=found.model.effects, kinematic_noise=recipe.kinematic_noise
+        ),
+        *hints_of_sanity(sanity_of(found)),
+        *hints_of_fit(found),
+    )
+    if test is not None and len(test):
+        held_out = prepare(vehicle, test, rate=prepared.rate, all_flights=True, decide_rate=False)
+        seen = validate(found.model, held_out.data, adapt=recipe.adapt, hints=hints)
+    elif decided.candidate is not None and decided.left_out is not None:
+        model = decided.candidate.fit.model
+        seen = validate(model, decided.left_out, hints=hints, judged_on=LEFT_OUT)
+    else:
+        seen = validate(found.model, prepared.data, hints=hints)
+    return found.judged(seen.verdict)

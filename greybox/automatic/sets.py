@@ -1,0 +1,80 @@
+"""The standard sets of effects, nested: what small multirotors have, most common first.
+
+Each step adds what the steps before cannot say; which step a craft needs, left-out flight decides.
+Order and content follow what flights of small quadrotors showed: the loss of speed to drag, then the
+moments of the air, then what is trimmed anew for every flight (docs/automatic.md, with the figures).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from greybox.automatic.facts import Facts
+from greybox.model.effect import Effect
+from greybox.model.effects import effect_by_name
+from greybox.model.vehicle import Vehicle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """Effects that enter together, and which of their parameters have one value per flight."""
+
+    name: str
+    effects: tuple[str | Effect, ...]
+    per_flight: tuple[str, ...] = field(default=())
+
+
+def names_of(step: Step) -> tuple[str, ...]:
+    """Names of the effects of a step."""
+    return tuple(e if isinstance(e, str) else e.name for e in step.effects)
+
+
+BASE = Step(name="rotors and sensors", effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"))
+
+STEPS = (
+    Step(name="battery", effects=("battery_sag",)),
+    Step(name="drag", effects=("rotor_drag",)),
+    Step(name="moments of the air", effects=("blade_flapping", "rotational_damping")),
+    Step(
+        name="trim of each flight", effects=("rotor_asymmetry", "mocap_misalignment"),
+        per_flight=("rotor_asymmetry", "mocap_misalignment"),
+    ),
+    Step(name="clocks of each flight", effects=("pose_delay",), per_flight=("pose_delay",)),
+)
+
+
+def nested_sets(vehicle: Vehicle, facts: Facts) -> tuple[Step, ...]:
+    """The base and the steps after it whose effects can be felt by the sensors of these flights.
+
+    Effects of the vehicle file are there from the start and not offered again.
+    """
+    steps = []
+    for step in (BASE, *STEPS):
+        usable = tuple(n for n in names_of(step) if n not in vehicle.effects and _felt(n, vehicle, facts))
+        if usable or step is BASE:
+            steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
+    return tuple(steps)
+
+
+def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
+    effect = effect_by_name(name)
+    if effect.missing(vehicle, facts.sensors):
+        return False
+    if "vbat" in effect.needs.columns and not facts.voltage:
+        return False
+    if name in ("rotor_drag", "blade_flapping"):  # proportional to a velocity that something must show
+        return bool(facts.sensors & {"position", "velocity"})
+    if name == "pose_delay":
+        return facts.has_pose and facts.has_imu
+    return True
+
+
+def per_flight_parameters(steps: tuple[Step, ...], vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of all parameters of the steps that differ from flight to flight."""
+    return tuple(
+        f"{effect}.{d.name}"
+        for step in steps
+        for effect in step.per_flight
+        if effect in names_of(step)
+        for d in effect_by_name(effect).parameters(vehicle)
+    )

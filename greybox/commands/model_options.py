@@ -1,0 +1,155 @@
+"""How a model is built and fitted, as options of a command: what is left open is decided, or has its default.
+
+`fit_options` fills what is open with the defaults of an explicit fit; `given` hands on only what was said.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.automatic.decide import Given
+    from greybox.data import Dataset
+    from greybox.estimation.options import FitOptions
+    from greybox.estimation.result import Fit
+    from greybox.estimation.solver import Progress, Solver
+    from greybox.model.effect import Effect
+    from greybox.model.vehicle import Vehicle
+
+
+def names(text: str) -> tuple[str, ...]:
+    """A comma-separated list of names."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def noise_levels(text: str) -> dict[str, float]:
+    """name=value,name=value: noise levels in SI units, "noise." may be left out (sensor.p=0.05)."""
+    return {n if n.startswith("noise.") else f"noise.{n}": v for n, v in values(text).items()}
+
+
+def values(text: str) -> dict[str, float]:
+    """name=value,name=value: parameter values in SI units."""
+    out = {}
+    for part in names(text):
+        name, _, value = part.partition("=")
+        try:
+            out[name] = float(value)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"expected NAME=NUMBER, got '{part}'") from None
+    return out
+
+
+def model_options(p: Any) -> None:
+    """Declare what says how the model is built and fitted. All are open (None) unless they are said."""
+    p.add_argument("--effects", type=names, default=None, metavar="a,b", help="effects besides those in the vehicle file")
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
+                   help="add the effects of these Python files, which are run (only what you trust)")  # fmt: skip
+    p.add_argument("--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states")
+    p.add_argument("--per-flight", type=names, default=None, metavar="a,b", help="parameters with one value per flight")
+    p.add_argument("--shared", type=names, default=None, metavar="a,b", help="parameters with one value for all flights")
+    p.add_argument("--fixed", type=names, default=None, metavar="a,b", help="parameters held at their value")
+    p.add_argument(
+        "--considered", type=names, default=None, metavar="a,b",
+        help="of those held, the ones whose stated error widens the errors of the others",
+    )
+    p.add_argument("--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters")
+    p.add_argument(
+        "--predictor", default=None, help="innovation, kalman, k-step, multi-step, multiple-shooting, simulation"
+    )
+    p.add_argument("--criterion", default=None, help="gaussian, robust, least-squares")
+    p.add_argument("--solver", default=None, help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt")
+    p.add_argument("--init", default=None, help="equation-error, noise, nominal, multistart, innovation")
+    p.add_argument("--noise", type=noise_levels, default=None, metavar="sensor.p=0.02,...",
+                   help="noise levels to start from, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
+    p.add_argument(
+        "--value", type=values, default=None, metavar="a=1,b=2", help="start values (of fixed parameters: values)"
+    )
+    p.add_argument("--hold-noise", nargs="?", const="all", default=None, choices=("none", "sensor", "all"),
+                   help="hold the sensors' or all noise levels at their start")  # fmt: skip
+    p.add_argument("--kinematic-noise", action=argparse.BooleanOptionalAction, default=None,
+                   help="noise between attitude and gyro (clocks that drift)")  # fmt: skip
+    p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
+    p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
+
+
+def fit_with(
+    arguments: argparse.Namespace, vehicle: Vehicle, train: Dataset, progress: Progress | None = None
+) -> Fit:
+    """The explicit fit: what is open has its default."""
+    from greybox.estimation.fit import fit
+    from greybox.estimation.record import sample_time
+    from greybox.model.model import build_model
+
+    model = build_model(
+        vehicle,
+        train.channels,
+        (*(arguments.effects or ()), *_own_effects(arguments)),
+        input=arguments.input,
+        sample_time=sample_time(train),
+        noncausal=train.noncausal,
+        kinematic_noise=bool(arguments.kinematic_noise),
+    )
+    return fit(model, train, fit_options(arguments), progress=progress)
+
+
+def fit_options(arguments: argparse.Namespace) -> FitOptions:
+    """The choices of an explicit fit: those that were said, defaults for the rest."""
+    from greybox.estimation.options import FitOptions
+
+    return FitOptions.of(None, _choices(arguments)).but(seed=arguments.seed)
+
+
+def given(arguments: argparse.Namespace) -> Given:
+    """What was said, for `greybox.automatic`: the rest is open."""
+    from greybox.automatic.decide import Given
+
+    own = _own_effects(arguments)
+    effects = None if arguments.effects is None and not own else (*(arguments.effects or ()), *own)
+    return Given(
+        effects=effects,
+        input=arguments.input,
+        kinematic_noise=arguments.kinematic_noise,
+        adapt=arguments.adapt,
+        choices=_choices(arguments),
+    )
+
+
+def _choices(arguments: argparse.Namespace) -> Any:
+    """The fields of `FitOptions` that were said."""
+    held = arguments.hold_noise
+    solver = arguments.solver
+    if solver is not None or arguments.max_iterations is not None:
+        solver = _solver(solver or "levenberg-marquardt", arguments.max_iterations)
+    said = {
+        "predictor": arguments.predictor,
+        "criterion": arguments.criterion,
+        "solver": solver,
+        "initialisation": arguments.init,
+        "disturbance": arguments.disturbance,
+        "free": arguments.free,
+        "fixed": arguments.fixed,
+        "considered": arguments.considered,
+        "per_flight": arguments.per_flight,
+        "shared": arguments.shared,
+        "values": arguments.value,
+        "noise": arguments.noise,
+        "estimate_noise": None if held is None else "process" if held == "sensor" else held == "none",
+    }
+    return {name: value for name, value in said.items() if value is not None}
+
+
+def _own_effects(arguments: argparse.Namespace) -> list[Effect]:
+    from greybox.model.effects_file import load_effects
+
+    return [e for path in arguments.effects_file for e in load_effects(path)]
+
+
+def _solver(name: str, limit: int | None) -> str | Solver:
+    """The solver, with another iteration limit where one is given."""
+    from greybox.errors import UnknownNameError
+    from greybox.estimation.solvers import SOLVERS
+
+    if name not in SOLVERS:
+        raise UnknownNameError("solver", name, SOLVERS)
+    return name if limit is None else SOLVERS[name](max_iterations=limit)
