@@ -260,9 +260,9 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, result: Fit) ->
 
 
 def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 3
+    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
 ) -> dict[str, Any]:
-    """Time series of up to `limit` flights per data set for the report: measured, one step and some way ahead."""
+    """Time series of `limit` flights per data set for the report (each is 15 figures): measured, one step and some way ahead."""
     import numpy as np
 
     from greybox.estimation.filtering import Filter

@@ -69,9 +69,8 @@ def fit(
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     first: Fit | None = None
     if options.initialisation == "innovation":
-        first = fit(
-            model, data, options.but(predictor="innovation", initialisation="equation-error"), progress=progress
-        )
+        start = options.but(predictor="innovation", initialisation="equation-error", considered=())
+        first = fit(model, data, start, progress=progress)
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
