@@ -47,8 +47,10 @@ NOTICEABLE = 0.005
 """... and the spread between them that matters: half a percent of thrust."""
 ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
-QUICK = LevenbergMarquardt(tolerance=0.05, max_iterations=25)
-"""Solver of the comparison: ends within a third of a standard error of the optimum."""
+QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
+"""Solver of the comparison: ends within about half a standard error of the optimum."""
+DIGITS = 3
+"""Significant digits of the values that the final fit starts from: a start need not be exact."""
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
 """Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
 THRUST = "thrust.c2"
@@ -131,7 +133,7 @@ class _Decider:
             return self._decided(steps[:1], options, None, None)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
-        return self._decided(chosen.steps, options, chosen, parts[1])
+        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts[1])
 
     def _decided(
         self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
@@ -223,6 +225,21 @@ class _Decider:
             f"{len(own)} parameters have one value per flight", "--adapt",
         )
         return ADAPT
+
+    def _started(self, options: FitOptions, chosen: Candidate) -> FitOptions:
+        """The final fit starts where the comparison ended; what ended at its null is held there."""
+        said = self.given.choices
+        if "initialisation" in said or "values" in said:
+            return options
+        declared = {d.name: d for d in chosen.fit.model.dynamics.parameters}
+        gone = [n for n, e in chosen.fit.parameters.items() if e.at_bound and e.value == declared[n].null]
+        if gone and "free" not in said and "fixed" not in said:
+            self._note(", ".join(gone), "held at nothing", "where the comparison ended, at the bound", "--fixed")
+            options = options.but(fixed=(*options.fixed, *gone))
+        start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items() if n not in gone}
+        if "noise" not in said:
+            options = options.but(noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()})
+        return options.but(values=start, initialisation="nominal")
 
     # ------------------------------------------------------------ comparing on pieces left out
 
@@ -333,12 +350,16 @@ class _Decider:
             f"+- {error:.3f}", "--predictor",
         )
         if better:
-            return options.but(predictor="multi-step", initialisation="innovation"), ahead
+            return options.but(predictor="multi-step"), ahead
         return options, chosen
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
     return tuple(e for s in steps for e in s.effects)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
 
 
 def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
