@@ -77,13 +77,13 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from greybox.automatic import fit
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.inspection import inspect_log
     from greybox.data.logs import read_log, read_logs
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
-    from greybox.automatic import fit
     from greybox.estimation.fit import Fit
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects

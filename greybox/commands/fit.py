@@ -254,6 +254,7 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, result: Fit) ->
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
+    more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     return words + (" " + shlex.join(more) if more else "")
