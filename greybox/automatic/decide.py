@@ -40,7 +40,7 @@ ENOUGH_SECONDS = 150.0
 SHORTEST = 6.0
 """Flights shorter than this [s] are too short to leave a part out."""
 FELT = 3.0
-"""Standard errors from which one of a step's parameters counts as felt."""
+"""Standard errors from which a parameter counts as felt."""
 CLEAR = 0.01
 """Probability below which flights count as different in their thrust scale (chi-square test)."""
 NOTICEABLE = 0.005
@@ -356,16 +356,21 @@ def _listed(steps: tuple[Step, ...]) -> str:
 
 
 def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
-    """The steps without those after the first whose every parameter is nothing within its error."""
-    kept = []
-    for step in candidate.steps:
-        names = _names((step,))
-        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in names]
-        numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
-        felt = any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
-        if felt or step is candidate.steps[0]:
-            kept.append(step)
+    """The steps without those of their effects, after the first step, whose every parameter is nothing
+    within its error."""
+    first, *more = candidate.steps
+    kept = [first]
+    for step in more:
+        felt = tuple(e for e in step.effects if _felt(e if isinstance(e, str) else e.name, candidate.fit))
+        if felt:
+            kept.append(replace(step, effects=felt))
     return tuple(kept)
+
+
+def _felt(effect: str, fitted: Fit) -> bool:
+    own = [e for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
+    numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
+    return any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:

@@ -27,12 +27,14 @@ PLENTY = 5.0
 class Facts:
     """Facts of a set of flights. `sensors` are those whose columns are all there (causal ones only)
     and `noise` the level of the fastest part of each of their innovation components, by sensor and
-    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a flight (0 where
-    the log has no attitude), `seconds` the time flown."""
+    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a flight, `apart` by
+    how much they are apart in the middle or drift (both 0 where the log has no attitude), `seconds` the
+    time flown."""
 
     sensors: frozenset[str]
     noise: Mapping[tuple[str, str], float]
     wander: float
+    apart: float
     seconds: float
     flights: int
     rate: float
@@ -64,15 +66,14 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
         for component, level in zip(components, levels, strict=True):
             if np.isfinite(level) and level > 0:
                 noise[sensor.name, component] = level
-    offsets = [
-        f.evidence["high_samples"] - f.evidence["low_samples"]
-        for f in report.of("alignment")
-        if "high_samples" in f.evidence
-    ]
+    seen = [f.evidence for f in report.of("alignment") if "high_samples" in f.evidence]
+    wander = float(np.median([e["high_samples"] - e["low_samples"] for e in seen])) if seen else 0.0
+    middle = float(np.median([abs(e["offset_samples"]) for e in seen])) if seen else 0.0
     return Facts(
         sensors=frozenset(s.name for s in sensors),
         noise=noise,
-        wander=float(np.median(offsets)) if offsets else 0.0,
+        wander=wander,
+        apart=max(wander, middle),
         seconds=sum(f.duration for f in data),
         flights=len(data),
         rate=1.0 / data.flights[0].dt,

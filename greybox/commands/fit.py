@@ -270,9 +270,9 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
 
 
 def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 3
+    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
 ) -> dict[str, Any]:
-    """Time series of up to `limit` flights per data set for the report: measured, one step and some way ahead."""
+    """Time series of `limit` flights per data set for the report (15 figures each): measured, one step and some ahead."""
     import numpy as np
 
     from greybox.estimation.filtering import Filter

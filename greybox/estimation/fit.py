@@ -70,9 +70,8 @@ def fit(
     _demand_considerable(dynamics, options)
     first: Fit | None = None
     if options.initialisation == "innovation":
-        first = fit(
-            model, data, options.but(predictor="innovation", initialisation="equation-error"), progress=progress
-        )
+        start = options.but(predictor="innovation", initialisation="equation-error", considered=())
+        first = fit(model, data, start, progress=progress)
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
@@ -222,8 +221,8 @@ def _finish(
     gaps = _gappy(problem)
     if gaps and problem.predictor.name == "innovation":
         warnings.append(
-            f"{', '.join(gaps)} missing in more than 5 % of the samples: the stationary gain assumes that they are there; "
-            "use the kalman predictor"
+            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the gain assumes that they are "
+            "there; use the kalman predictor"
         )
     total_held = sum(r.held for r in problem.records)
     if total_held:
@@ -270,9 +269,11 @@ def _finish(
 
 
 def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
-    """Innovation components that are missing in more than `share` of the samples, yet not always."""
-    seen = np.concatenate([r.mask for r in problem.records]).mean(axis=0)
-    return [n for n, s in zip(problem.dynamics.innovations.names, seen, strict=True) if 0 < s < 1 - share]
+    """Innovation components that are missing in more than `share` of the samples where the record's pattern has them."""
+    total = sum(r.n for r in problem.records)
+    lost = sum((r.usual.at(r.n) & (r.mask == 0)).sum(axis=0) for r in problem.records) / total
+    seen = np.concatenate([r.mask for r in problem.records]).sum(axis=0) > 0
+    return [n for n, s, v in zip(problem.dynamics.innovations.names, lost, seen, strict=True) if v and s > share]
 
 
 def _label(u: Unknown) -> str:

@@ -13,9 +13,9 @@ the covariance is that of the channels that are usually there, and every sample 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,7 @@ from greybox.estimation.record import Record
 from greybox.symbolic import BoolArray, FloatArray
 
 FIRST = 8
-"""SystemSamples at the start whose covariances are followed one by one."""
+"""Samples at the start whose covariances are followed one by one."""
 STRETCHES = 2
 """Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth about its middle."""
 PHASES = 1
@@ -39,15 +39,20 @@ SETTLED = 1e-6
 """Relative difference to the settled gain from which on it is that one. A wrong gain costs the square of
 that."""
 TOLD = 0.5
-"""Standard deviation of an error of the start, given all samples, in units of that without them, below which the
-linearisation tells it. Of the others (heading without a compass) the flight itself may tell more."""
+"""Standard deviation of an error of the start, given the first samples, in units of that without them, below which the
+filter carries it. Of the others (heading without a compass, tilt or velocity that show late) the linearisation knows too
+little: they are unknowns, and the flight itself tells them."""
+SOON = 0.1
+"""Seconds that count as first, as where records are made."""
+READINGS = 4
+"""Readings of every channel that count as first, at least."""
 NOTHING = 1e-6
 """Share of the pseudo-measurement's spread (100 times that of a start) that counts as no error of a state."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """SystemSamples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
+    """Samples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
 
     begin: int
     end: int
@@ -55,7 +60,7 @@ class Stretch:
 
 
 def one_by_one(length: int) -> int:
-    """SystemSamples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
+    """Samples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
     return -(-FIRST // length) * length
 
 
@@ -140,7 +145,14 @@ class Settling:
         usual = pattern is None or bool(pattern.there.all())
         key = b"" if usual or pattern is None else pattern.there.tobytes()
         if key not in self._known:
-            self._known[key] = [self._always()] if usual or pattern is None else self._periodic(pattern)
+            if usual or pattern is None:
+                self._known[key] = [self._always()]
+            elif pattern.ahead:
+                # Flights whose slow channels come at other samples share what is the same.
+                same, n = self.settled(pattern.turned(pattern.ahead)), pattern.length
+                self._known[key] = [same[(j - pattern.ahead) % n] for j in range(n)]
+            else:
+                self._known[key] = self._periodic(pattern)
         return self._known[key]
 
     def gains(self, record: Record, spread: FloatArray | None) -> RecordGains:
@@ -162,9 +174,10 @@ class Settling:
         return stationary(self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost)
 
     def told(self, record: Record) -> BoolArray:
-        """Which errors of a record's start (n_d,) its samples tell, as far as the linearisation knows."""
+        """Which errors of a record's start (n_d,) its first samples tell, as far as the linearisation knows."""
         pattern = record.usual
-        e = self.cycle(pattern, max(0, (record.n // pattern.length).bit_length() - 1))
+        cycles = max(READINGS, round(SOON / record.dt) // pattern.length)
+        e = self.cycle(pattern, (cycles - 1).bit_length())
         sigma = record.x0_sigma / self._unit
         # The pseudo-measurement tells nothing of a start: it is a hundred times as wide.
         after = np.linalg.inv(np.eye(sigma.size) + sigma[:, None] * e.G * sigma)
@@ -172,17 +185,17 @@ class Settling:
 
     # ------------------------------------------------------------ covariances
 
-    @cached_property
+    @functools.cached_property
     def _samples(self) -> SystemSamples:
         return SystemSamples(
             values=self.values, q=self.q, r=self.r, slopes=self.slopes, dq=self.dq, dr=self.dr, lost=self.lost
         )  # fmt: skip
 
-    @cached_property
+    @functools.cached_property
     def _unit(self) -> FloatArray:
         return np.sqrt(self.weak)
 
-    @cached_property
+    @functools.cached_property
     def _system(self) -> System:
         a, g, c, d = self.values
         slopes = None
@@ -207,13 +220,15 @@ class Settling:
             return self.element(pattern.there[0], times)
         known = self._elements.setdefault(b"cycle" + pattern.there.tobytes(), [])
         if not known:
-            whole = self.element(pattern.there[0])
-            for there in pattern.there[1:]:
-                whole = whole.then(self.element(there))
-            known.append(whole)
+            steps = [e for begin, size in pattern.runs for e in self._steps(pattern.there[begin], size)]
+            known.append(functools.reduce(Element.then, steps))
         while len(known) <= times:
             known.append(known[-1].then(known[-1]))
         return known[times]
+
+    def _steps(self, there: BoolArray, count: int) -> list[Element]:
+        """Elements that together are `count` samples with the channels `there`."""
+        return [self.element(there, i) for i in range(count.bit_length()) if count >> i & 1]
 
     def solution(self, p: FloatArray, dp: FloatArray | None) -> Riccati:
         """What gains need from `p` and `dp` in units of the pseudo-measurement."""
@@ -237,17 +252,21 @@ class Settling:
         _, dp = cycle.moved(p, self._zero())
         if dp is not None:
             dp = smith(cycle.closed(p), dp)
-        return self.phases(p, dp, pattern)[0]
+        return self.phases(p, dp, pattern, [(i, 1) for i in range(pattern.length)])[0]
 
     def phases(
-        self, p: FloatArray, dp: FloatArray | None, pattern: Pattern
+        self, p: FloatArray, dp: FloatArray | None, pattern: Pattern, parts: Sequence[tuple[int, int]]
     ) -> tuple[list[Riccati], FloatArray, FloatArray | None]:
-        """(the solution of every phase, P and dP one pattern later), from P before the first phase."""
+        """(solutions in the middle of `parts`, see `Pattern`, P and dP one pattern later), from P before the first phase."""
         found = []
-        for there in pattern.there:
+        for begin, size in parts:
+            there = pattern.there[begin]
+            for e in self._steps(there, size // 2):
+                p, dp = e.moved(p, dp)
             found.append(self.solution(p, dp))
             if pattern.length > 1:
-                p, dp = self.element(there).moved(p, dp)
+                for e in self._steps(there, size - size // 2):
+                    p, dp = e.moved(p, dp)
         return found, p, dp
 
     def _early(
@@ -268,17 +287,22 @@ class Settling:
             )  # fmt: skip
         walk = self._walks[key]
         at = np.full(record.n, -1, dtype=np.intp)
-        place = 0
+        place, middle = 0, [begin + size // 2 for begin, size in pattern.parts]
+        part = np.repeat(np.arange(len(middle)), [size for _, size in pattern.parts])
         for stretch in stretches(record.n, length):
-            phases = 1 if stretch.begin < first else length
-            if place == len(walk.found):
-                walk.go_on(stretch.node, phases)
-            new = walk.found[place : place + phases]
-            if stretch.begin >= first and all(self._alike(a, b) for a, b in zip(new, settled, strict=True)):
-                break
             rows = np.arange(stretch.begin, stretch.end)
-            at[rows] = place + (rows - stretch.begin) % phases
-            place += phases
+            early = stretch.begin < first
+            if place == len(walk.found):
+                walk.go_on(stretch.node, whole=not early)
+            if early:
+                at[rows] = place
+                place += 1
+                continue
+            new = walk.found[place : place + len(middle)]
+            if all(self._alike(a, settled[j]) for a, j in zip(new, middle, strict=True)):
+                break
+            at[rows] = place + part[rows % length]
+            place += len(middle)
         return walk.found[:place], at
 
     def _alike(self, one: Riccati, settled: Riccati) -> bool:
@@ -303,18 +327,18 @@ class _Walk:
     t: int = 0
     found: list[Riccati] = field(default_factory=list)
 
-    def go_on(self, node: int, phases: int) -> None:
-        """Add the solutions of the `phases` samples from `node` on."""
+    def go_on(self, node: int, whole: bool) -> None:
+        """Add the solution of the sample `node`, or those of the parts of the `whole` pattern from there on."""
         while self.t < min(node, len(self.actual)):
             self._move(self.settling.element(self.actual[self.t]), 1)
         length = self.pattern.length
         while self.t < node:
             times = ((node - self.t) // length).bit_length() - 1
             self._move(self.settling.cycle(self.pattern, times), length << times)
-        if phases == 1:
+        if not whole or length == 1:
             self.found.append(self.settling.solution(self.p, self.dp))
             return
-        new, self.p, self.dp = self.settling.phases(self.p, self.dp, self.pattern)
+        new, self.p, self.dp = self.settling.phases(self.p, self.dp, self.pattern, self.pattern.parts)
         self.found += new
         self.t += length
 
