@@ -140,13 +140,16 @@ class _Decider:
     kinematic_noise: bool = False
 
     def run(self) -> Decided:
+        said = FitOptions.of(None, self.given.choices)
+        for chosen in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
+            chosen()  # a name that there is not is said before anything takes time
         self._kinematics()
-        options = self._held(self._noise(self._disturbance(FitOptions.of(None, self.given.choices))))
+        options = self._held(self._noise(self._disturbance(said)))
         parts = self._parts()
         if self.given.effects is not None:
             steps: tuple[Step, ...] = (Step(name="the effects asked for", effects=self.given.effects),)
         else:
-            steps = nested_sets(self.vehicle, self.facts)
+            steps = nested_sets(self.vehicle, self.facts, input=self.given.input)
         if parts is None:
             self._note(
                 "effects", _listed(steps[:1]), f"every flight is shorter than {SHORTEST:g} s: "
@@ -235,7 +238,8 @@ class _Decider:
                 f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
                 "--fixed, --considered",
             )
-        return options.but(fixed=tuple(held), considered=tuple(held))
+        options = options.but(fixed=tuple(held))
+        return options if "considered" in self.given.choices else options.but(considered=tuple(held))
 
     def _adapt(self, recipe: Recipe) -> float | None:
         if self.given.adapt is not None:

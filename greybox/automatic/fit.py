@@ -27,6 +27,17 @@ from greybox.model.effect import Effect
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
 
+LEFT_TO_JUDGE = 3.0
+"""Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
+
+
+def adaptation(recipe: Recipe, test: Dataset) -> float | None:
+    """Seconds at the start of `test` flights that a recipe's own time of adaptation takes; None where a
+    flight is too short for it, or nothing is to be adapted."""
+    if recipe.adapt is None or not test.flights:
+        return None
+    return recipe.adapt if min(f.duration for f in test) >= LEFT_TO_JUDGE * recipe.adapt else None
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
@@ -157,6 +168,7 @@ def fit_decided(
             continue
         gone = [e for e in recipe.effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
         if gone:
+            bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
             step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
             recipe = _without(recipe, gone)
             continue

@@ -7,7 +7,7 @@ from typing import Unpack
 
 from greybox.automatic.decide import Given, Say, decide
 from greybox.automatic.facts import facts_of
-from greybox.automatic.fit import fit_decided, prepare
+from greybox.automatic.fit import adaptation, fit_decided, prepare
 from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.estimation.fit import fit as explicit_fit
@@ -86,7 +86,7 @@ def _automatic(
     )
     if test is not None and len(test):
         held_out = prepare(vehicle, test, rate=prepared.rate, all_flights=True, decide_rate=False)
-        seen = validate(found.model, held_out.data, adapt=recipe.adapt, hints=hints)
+        seen = validate(found.model, held_out.data, adapt=adaptation(recipe, held_out.data), hints=hints)
     elif decided.candidate is not None and decided.left_out is not None:
         model = decided.candidate.fit.model
         seen = validate(model, decided.left_out, hints=hints, judged_on=LEFT_OUT)

@@ -8,6 +8,7 @@ showed: the air's forces and moments, then what is trimmed anew for every flight
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from greybox.automatic.facts import Facts
 from greybox.model.effect import Effect
@@ -49,17 +50,27 @@ STEPS = (
 )
 
 
-def nested_sets(vehicle: Vehicle, facts: Facts) -> tuple[Step, ...]:
+def nested_sets(
+    vehicle: Vehicle, facts: Facts, *, input: Literal["command", "speed"] = "command"
+) -> tuple[Step, ...]:
     """The base and the steps after it whose effects can be felt by the sensors of these flights.
 
-    Effects of the vehicle file are there from the start and not offered again.
+    Effects of the vehicle file are there from the start and not offered again. Rotor speeds that are
+    the `input` already hold what shapes a command.
     """
     steps = []
     for step in (BASE, *STEPS):
-        usable = tuple(n for n in names_of(step) if n not in vehicle.effects and _felt(n, vehicle, facts))
+        usable = tuple(
+            n for n in names_of(step)
+            if n not in vehicle.effects and _felt(n, vehicle, facts) and _acts_on(n, input)
+        )  # fmt: skip
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
+
+
+def _acts_on(name: str, input: str) -> bool:
+    return input == "command" or effect_by_name(name).stage not in ("command", "rotor")
 
 
 def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:

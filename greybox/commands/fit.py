@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         ours = sys.argv[1:2] == ["fit"]
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"
         if "explicit" in content:
-            content["explicit"]["command"] = _explicit(arguments, prepared, result)
+            content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
         write_json(out / "fit.json", content)
         result.model.save(out / "model.json")
         return content
@@ -230,14 +231,21 @@ def _validated(
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
-    adapt = arguments.adapt if recipe is None else recipe.adapt
     if test.flights:
-        if adapt is not None and arguments.adapt is None and min(f.duration for f in test) < 3 * adapt:
-            adapt = None
-        return validate(result.model, test, **horizons, adapt=adapt, hints=hints)
+        return validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
     if pieces is not None:
         return validate(pieces[0], pieces[1], **horizons, hints=hints, judged_on=LEFT_OUT)
     return validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+
+
+def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
+    """Seconds that test flights are adapted on; a time that nobody asked for only where enough is left to judge."""
+    from greybox.automatic.fit import adaptation
+
+    recipe = result.provenance.recipe
+    if arguments.adapt is not None or recipe is None:
+        return None if arguments.adapt is None else float(arguments.adapt)
+    return adaptation(recipe, test)
 
 
 def _sanity_lines(result: Fit) -> list[str]:
@@ -246,14 +254,16 @@ def _sanity_lines(result: Fit) -> list[str]:
     return sanity_of(result).lines()
 
 
-def _explicit(arguments: argparse.Namespace, prepared: Prepared, result: Fit) -> str:
+def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, result: Fit) -> str:
     """The explicit command line: every choice is said, flights that were left out are not named."""
-    recipe = result.provenance.recipe
-    assert recipe is not None
+    decided = result.provenance.recipe
+    assert decided is not None
+    recipe = replace(decided, adapt=_adapted(arguments, result, test))
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
+    more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     return words + (" " + shlex.join(more) if more else "")

@@ -111,7 +111,7 @@ def given(arguments: argparse.Namespace) -> Given:
         input=arguments.input,
         kinematic_noise=arguments.kinematic_noise,
         adapt=arguments.adapt,
-        choices=_choices(arguments),
+        choices={**_choices(arguments), "seed": arguments.seed},
     )
 
 

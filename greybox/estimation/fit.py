@@ -67,6 +67,7 @@ def fit(
     options = FitOptions.of(options, choices)
     dynamics = with_disturbance(model, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
+    _demand_considerable(dynamics, options)
     first: Fit | None = None
     if options.initialisation == "innovation":
         start = options.but(predictor="innovation", initialisation="equation-error", considered=())
@@ -91,20 +92,24 @@ def fit(
     return result
 
 
+def _demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
+    """Raise `ModelError` for a considered parameter that is not held or has no stated error."""
+    declared = {d.name: d for d in dynamics.parameters}
+    for name in options.considered:
+        if name not in options.fixed or name not in declared:
+            raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
+        if not 0 < declared[name].sigma < np.inf:
+            raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
+
+
 def _considered_spread(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> FloatArray:
     """What the stated errors of held parameters add to the covariance of the unknowns, (n, n).
 
     A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian of the
     problem in which it is free (consider covariance: Schmidt 1966, Application of state-space methods to
     navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004, Statistical Orbit
-    Determination, ch. 6). Raises `ModelError` for one that is not held or has no stated error.
+    Determination, ch. 6).
     """
-    declared = {d.name: d for d in problem.dynamics.parameters}
-    for name in options.considered:
-        if name not in options.fixed or name not in declared:
-            raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
-        if not 0 < declared[name].sigma < np.inf:
-            raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
     fixed = tuple(n for n in options.fixed if n not in options.considered)
     wide = make_problem(problem.dynamics, data, options.but(fixed=fixed))
     own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
