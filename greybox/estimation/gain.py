@@ -355,10 +355,10 @@ class SystemSamples:
             return Riccati(P=p, N=n_, S=s, lost=self.lost, pieces=(a, c))
         da, dc, *every, fixed_n, fixed_s = self._slopes
         own = len(da)
-        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), -1)
+        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), len(c))
         dn, ds = fixed_n + a @ dpc, fixed_s + c @ dpc
-        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), -1)
-        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), -1) + (a @ p) @ dc.transpose(0, 2, 1)
+        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), len(c))
+        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), len(c)) + (a @ p) @ dc.transpose(0, 2, 1)
         ds[:own] += half + half.transpose(0, 2, 1)
         return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=self.lost, pieces=(a, c, *every))
 
