@@ -5,10 +5,10 @@
 What is fitted is decided from the flights, as by plain `greybox fit`; --by-hand takes the recipe below instead, which the
 comparison of methods was made with (docs/compare.md).
 
-Why by hand so: attitude and position come from another clock than gyro, accelerometer and commands, and drift against them by some
-10 ms; sensor levels are therefore held at what the vehicle file says, the disagreement is noise on the attitude
-kinematics, and the parameters come from errors up to half a second ahead. Mass and thrust scale only as a ratio, and
-yaw is hardly excited, so that mass and the rotors' drag torque stay at their published values.
+Why by hand so: attitude and position come from another clock than gyro, accelerometer and commands, and drift against
+them by some 10 ms; sensor levels are therefore held at what the vehicle file says, the disagreement is noise on the
+attitude kinematics, and the parameters come from errors up to half a second ahead. Mass and thrust scale only as a ratio,
+and yaw is hardly excited, so that mass and the rotors' drag torque stay at their published values.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         }
     total: dict[tuple[str, int], tuple[float, int]] = {}
     for name, (train, held_out) in folds.items():
-        fit_them = fit_by_hand if options.by_hand else automatic.fit
-        result = fit_them(vehicle, data.select(train))
+        flights = data.select(train)
+        result = fit_by_hand(vehicle, flights) if options.by_hand else automatic.fit(vehicle, flights)
         checked = validate(result.model, data.select(held_out), adapt=5.0, measured_start=True)
         print(f"\n{name}: {', '.join(held_out)}\n{result.summary()}\n{checked.format()}", flush=True)
         if options.out:
