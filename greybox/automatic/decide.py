@@ -47,8 +47,13 @@ NOTICEABLE = 0.005
 """... and the spread between them that matters: half a percent of thrust."""
 ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
-QUICK = LevenbergMarquardt(tolerance=0.05, max_iterations=25)
-"""Solver of the comparison: ends within a third of a standard error of the optimum."""
+QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
+"""Solver of the comparison: ends within about half a standard error of the optimum."""
+POOR = 0.1
+"""Share of the last value's squared error (a third of the error) above which the likelihood foretells
+poorly, so that errors further ahead are tried for every set."""
+DIGITS = 3
+"""Significant digits of the values that the final fit starts from: a start need not be exact."""
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
 """Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
 THRUST = "thrust.c2"
@@ -69,16 +74,38 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A set of effects fitted to the first parts of the flights, and how it foretells the rest."""
+    """A set of effects fitted to the first parts of the flights, and how it foretells the rest: by the
+    one-step `likelihood` and, where that was tried, by errors further `ahead`."""
 
     steps: tuple[Step, ...]
-    fit: Fit
-    score: Score
+    likelihood: Fit
+    likelihood_score: Score
+    ahead: Fit | None = None
+    ahead_score: Score | None = None
 
     @property
     def name(self) -> str:
         """That of the last step."""
         return self.steps[-1].name
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether errors further ahead foretell better, by more than their standard error."""
+        if self.ahead_score is None:
+            return False
+        gain, error = self.ahead_score.better_by(self.likelihood_score)
+        return gain > error
+
+    @property
+    def fit(self) -> Fit:
+        """The fit that foretells better."""
+        return self.ahead if self.ahead is not None and self.looks_ahead else self.likelihood
+
+    @property
+    def score(self) -> Score:
+        """Its score."""
+        better = self.ahead_score is not None and self.looks_ahead
+        return self.ahead_score if better and self.ahead_score is not None else self.likelihood_score
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +161,7 @@ class _Decider:
             return self._decided(steps[:1], options, None, None)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
-        return self._decided(chosen.steps, options, chosen, parts[1])
+        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts[1])
 
     def _decided(
         self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
@@ -228,6 +255,21 @@ class _Decider:
         )
         return ADAPT
 
+    def _started(self, options: FitOptions, chosen: Candidate) -> FitOptions:
+        """The final fit starts where the comparison ended; what ended at its null is held there."""
+        said = self.given.choices
+        if "initialisation" in said or "values" in said:
+            return options
+        declared = {d.name: d for d in chosen.fit.model.dynamics.parameters}
+        gone = [n for n, e in chosen.fit.parameters.items() if e.at_bound and e.value == declared[n].null]
+        if gone and "free" not in said and "fixed" not in said:
+            self._note(", ".join(gone), "held at nothing", "where the comparison ended, at the bound", "--fixed")
+            options = options.but(fixed=(*options.fixed, *gone))
+        start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items() if n not in gone}
+        if "noise" not in said:
+            options = options.but(noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()})
+        return options.but(values=start, initialisation="nominal")
+
     # ------------------------------------------------------------ comparing on pieces left out
 
     def _parts(self) -> tuple[Dataset, Dataset] | None:
@@ -255,33 +297,42 @@ class _Decider:
 
     def _try(
         self, steps: tuple[Step, ...], options: FitOptions, before: Candidate | None,
-        parts: tuple[Dataset, Dataset],
+        parts: tuple[Dataset, Dataset], *, look_ahead: bool = False,
     ) -> Candidate | None:
-        """`steps` fitted and judged, from where `before` ended; None where that is not possible."""
+        """`steps` fitted and judged, from where `before` ended; None where that is not possible.
+
+        Errors further ahead are tried where the likelihood foretells poorly, or on `look_ahead`.
+        """
         options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
-        if before is not None:
+        options = options.but(predictor="innovation")
+        if before is None:
+            options = options.but(initialisation="equation-error")
+        else:
             dropped = set(_names(before.steps)) - set(_names(steps))
-            start = {n: e.value for n, e in before.fit.parameters.items() if n.split(".")[0] not in dropped}
-            options = options.but(
-                values={**start, **options.values}, noise=noise_of(before.fit.model),
-                initialisation="nominal",
-            )
+            options = _from(before.fit, before.likelihood, options, dropped)
         try:
-            found = fit(self._model(_effects(steps)), parts[0], options)
-            return Candidate(steps=steps, fit=found, score=foretell(found.model, parts[1]))
+            model = self._model(_effects(steps))
+            plain = fit(model, parts[0], options)
+            judged = foretell(plain.model, parts[1])
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}: {error}")
             return None
+        found = Candidate(steps=steps, likelihood=plain, likelihood_score=judged)
+        if "predictor" in self.given.choices or not (look_ahead or judged.mean > POOR):
+            return found
+        try:
+            many = fit(model, parts[0], _from(plain, plain, options, set()).but(predictor="multi-step"))
+            return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
+        except GreyboxError as error:
+            self.say(f"  {steps[-1].name}, errors ahead: {error}")
+            return found
 
     def _smallest_good(
         self, steps: tuple[Step, ...], options: FitOptions, parts: tuple[Dataset, Dataset]
     ) -> Candidate | None:
-        quick = options if "predictor" not in self.given.choices else options.but(
-            predictor="innovation", initialisation="equation-error"
-        )
         tried: list[Candidate] = []
         for i in range(1, len(steps) + 1):
-            got = self._try(steps[:i], quick, tried[-1] if tried else None, parts)
+            got = self._try(steps[:i], options, tried[-1] if tried else None, parts)
             if got is not None:
                 tried.append(got)
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
@@ -291,7 +342,7 @@ class _Decider:
         chosen = next(c for c in tried if np.less_equal(*best.score.better_by(c.score)))
         kept = _felt_steps(chosen)
         if kept != chosen.steps:
-            chosen = self._try(kept, quick, chosen, parts) or chosen
+            chosen = self._try(kept, options, chosen, parts) or chosen
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
         if self.given.effects is None:
             self._note(
@@ -325,26 +376,37 @@ class _Decider:
     ) -> tuple[FitOptions, Candidate]:
         """Multi-step errors in place of the likelihood where that foretells better by its error."""
         if "predictor" in self.given.choices:
-            return options, self._try(chosen.steps, options, chosen, parts) or chosen
-        ahead = self._try(chosen.steps, options.but(predictor="multi-step"), chosen, parts)
-        if ahead is None:
             return options, chosen
-        gain, error = ahead.score.better_by(chosen.score)
-        better = gain > error
+        if chosen.ahead is None:
+            chosen = self._try(chosen.steps, options, chosen, parts, look_ahead=True) or chosen
+        if chosen.ahead_score is None:
+            return options, chosen
+        _, error = chosen.ahead_score.better_by(chosen.likelihood_score)
         self._note(
-            "criterion", "errors up to half a second ahead" if better else "likelihood one step ahead",
-            f"pieces left out: {ahead.score.mean:.3f} against {chosen.score.mean:.3f}, the difference "
-            f"+- {error:.3f}", "--predictor",
+            "criterion",
+            "errors up to half a second ahead" if chosen.looks_ahead else "likelihood one step ahead",
+            f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, {chosen.likelihood_score.mean:.3f} by "
+            f"the likelihood, the difference +- {error:.3f}",
+            "--predictor",
         )
-        if better:
-            options = options.but(predictor="multi-step")
-            started = "initialisation" in self.given.choices
-            return options if started else options.but(initialisation="innovation"), ahead
-        return options, chosen
+        return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
+
+
+def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
+    """`options` from the estimates of one fit and the noise levels of another, less those of effects
+    that are `dropped`."""
+    values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
+    return options.but(
+        values={**values, **options.values}, noise=noise_of(noise.model), initialisation="nominal"
+    )
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
     return tuple(e for s in steps for e in s.effects)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
 
 
 def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:

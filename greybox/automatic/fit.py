@@ -157,6 +157,15 @@ def fit_decided(
             recipe = less[0]
             continue
         bent = [n for n, e in found.parameters.items() if e.at_bound]
+        null = {d.name: d.null for d in found.model.dynamics.parameters}
+        absent = tuple(n for n in bent if found.parameters[n].value == null[n])
+        if absent:
+            step_down(f"{', '.join(absent)} held at nothing", "where the search ended, at the bound")
+            options = recipe.options
+            values = {n: v for n, v in options.values.items() if n not in absent}
+            options = options.but(fixed=(*options.fixed, *absent), values=values)
+            recipe = replace(recipe, options=options)
+            continue
         gone = [e for e in recipe.effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
         if gone:
             bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
@@ -185,6 +194,7 @@ def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
             per_flight=tuple(n for n in options.per_flight if n.split(".")[0] not in names),
             fixed=tuple(n for n in options.fixed if n.split(".")[0] not in names),
             shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
+            values={n: v for n, v in options.values.items() if n.split(".")[0] not in names},
         ),
     )
 
