@@ -141,8 +141,8 @@ class _Decider:
 
     def run(self) -> Decided:
         said = FitOptions.of(None, self.given.choices)
-        for chosen in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
-            chosen()  # a name that there is not is said before anything takes time
+        for member in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
+            member()  # a name that there is not is said before anything takes time
         self._kinematics()
         options = self._held(self._noise(self._disturbance(said)))
         parts = self._parts()

@@ -70,8 +70,8 @@ def fit(
     _demand_considerable(dynamics, options)
     first: Fit | None = None
     if options.initialisation == "innovation":
-        start = options.but(predictor="innovation", initialisation="equation-error", considered=())
-        first = fit(model, data, start, progress=progress)
+        before = options.but(predictor="innovation", initialisation="equation-error", considered=())
+        first = fit(model, data, before, progress=progress)
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
