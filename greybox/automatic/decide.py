@@ -430,9 +430,11 @@ def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
 
 
 def _felt(effect: str, fitted: Fit) -> bool:
-    own = [e for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
-    numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
-    return any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
+    null = {d.name: d.null for d in fitted.model.dynamics.parameters}
+    own = [(n, e) for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
+    numbers = [(null[n], *v) for n, e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
+    # An estimate at a bound has no error: felt, unless that bound is its null.
+    return any(v != zero and (not np.isfinite(std) or abs(v) > FELT * std) for zero, v, std in numbers)
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:

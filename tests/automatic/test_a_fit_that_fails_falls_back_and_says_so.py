@@ -1,4 +1,4 @@
-"""An effect that runs to a bound goes, a fit that fails falls back to less, and each step down is said."""
+"""What runs to a bound goes, a fit that fails falls back to less, and each step down is said."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ def falls(result: gb.Fit) -> list[Any]:
     return [d for d in result.provenance.decisions if d.about == "fallback"]
 
 
-def test_an_effect_at_its_bound_goes_and_it_is_said():
+def test_a_parameter_at_its_bound_goes_and_it_is_said():
     columns = dict(flown(**SHORT)[0])
     # Commands that the log stamps two samples late: the craft answers before it is asked, which no delay explains.
     columns |= {f"u{i}": np.roll(columns[f"u{i}"], 2) for i in range(1, 5)}
     result = gb.fit(vehicle(), flight(columns, "run0"))
-    assert "command_delay" not in result.model.effects
     (said,) = falls(result)
-    assert said.choice == "without command_delay"
-    assert "command_delay.d ran to a bound" in said.reason
+    assert "command_delay" in said.choice
+    assert "bound" in said.reason
+    assert "command_delay.d" not in result.parameters
+    assert result.model.values.get("command_delay.d", 0.0) == 0.0
     assert result.converged
 
 
