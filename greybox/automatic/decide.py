@@ -37,6 +37,8 @@ FIRST_PART = 0.65
 """Share of a flight that sets are fitted to; the rest is foretold."""
 ENOUGH_SECONDS = 150.0
 """Flight time from which more only costs time when sets are compared."""
+ENOUGH_EACH = 15.0
+"""Seconds of one flight that are enough: rather more flights than longer ones."""
 SHORTEST = 6.0
 """Flights shorter than this [s] are too short to leave a part out."""
 FELT = 3.0
@@ -110,13 +112,15 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decided:
-    """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
-    flights and `left_out` the rest of them (both None where every flight is too short)."""
+    """The recipe and how it came about. `candidate` is the recipe fitted to the `first_parts` of the
+    flights and `left_out` the rest of them (all None where every flight is too short)."""
 
     recipe: Recipe
     decisions: tuple[Decision, ...]
     candidate: Candidate | None
+    first_parts: Dataset | None
     left_out: Dataset | None
+    given: Given = field(default_factory=Given)
 
 
 def decide(
@@ -161,10 +165,11 @@ class _Decider:
             return self._decided(steps[:1], options, None, None)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
-        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts[1])
+        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts)
 
     def _decided(
-        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
+        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None,
+        parts: tuple[Dataset, Dataset] | None,
     ) -> Decided:
         recipe = Recipe(
             effects=_effects(steps), input=self.given.input, kinematic_noise=self.kinematic_noise,
@@ -172,7 +177,8 @@ class _Decider:
         )
         return Decided(
             recipe=replace(recipe, adapt=self._adapt(recipe)), decisions=tuple(self.decisions),
-            candidate=candidate, left_out=rest,
+            given=self.given, candidate=candidate, first_parts=parts[0] if parts else None,
+            left_out=parts[1] if parts else None,
         )
 
     def _note(self, about: str, choice: str, reason: str, option: str) -> None:
@@ -222,15 +228,19 @@ class _Decider:
 
     def _held(self, options: FitOptions) -> FitOptions:
         """Of two numbers of which the flights show the ratio alone, the one that is known better."""
-        if "fixed" in self.given.choices or "free" in self.given.choices:
+        said = self.given.choices
+        if "free" in said:
             return options
+        named = set(said.get("per_flight", ()))
         declared = {d.name: d for d in core_parameters(self.vehicle)}
         held = []
         for pair in RATIOS:
             both = [declared[n] for n in pair[:2]]
             if not all(0 < d.sigma < np.inf and d.nominal for d in both):
                 continue
-            better, worse = sorted(both, key=lambda d: d.sigma / abs(d.nominal))
+            if set(pair[:2]) & set(said.get("fixed", ())):
+                continue
+            better, worse = sorted(both, key=lambda d: (d.name in named, d.sigma / abs(d.nominal)))
             held.append(better.name)
             self._note(
                 better.name, f"held at {better.nominal:.4g} {better.unit}",
@@ -238,8 +248,8 @@ class _Decider:
                 f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
                 "--fixed, --considered",
             )
-        options = options.but(fixed=tuple(held))
-        return options if "considered" in self.given.choices else options.but(considered=tuple(held))
+        options = options.but(fixed=(*options.fixed, *held))
+        return options if "considered" in said else options.but(considered=tuple(held))
 
     def _adapt(self, recipe: Recipe) -> float | None:
         if self.given.adapt is not None:
@@ -262,10 +272,10 @@ class _Decider:
             return options
         declared = {d.name: d for d in chosen.fit.model.dynamics.parameters}
         gone = [n for n, e in chosen.fit.parameters.items() if e.at_bound and e.value == declared[n].null]
-        if gone and "free" not in said and "fixed" not in said:
+        if gone and "free" not in said:
             self._note(", ".join(gone), "held at nothing", "where the comparison ended, at the bound", "--fixed")
             options = options.but(fixed=(*options.fixed, *gone))
-        start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items() if n not in gone}
+        start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items()}
         if "noise" not in said:
             options = options.but(noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()})
         return options.but(values=start, initialisation="nominal")
@@ -277,8 +287,8 @@ class _Decider:
         long = [f for f in self.data if f.duration >= SHORTEST]
         if not long:
             return None
-        every = max(1, int(np.ceil(sum(f.duration for f in long) / ENOUGH_SECONDS)))
-        some = long[::every]
+        count = min(len(long), int(ENOUGH_SECONDS / ENOUGH_EACH))
+        some = [long[i] for i in np.linspace(0, len(long) - 1, count).round().astype(int)]
         cut = tuple(_first_seconds(f, ENOUGH_SECONDS / len(some)) for f in some)
         return Dataset(flights=cut).split_by_time(FIRST_PART)
 
@@ -339,10 +349,12 @@ class _Decider:
         if not tried:
             return None
         best = min(tried, key=lambda c: c.score.mean)
-        chosen = next(c for c in tried if np.less_equal(*best.score.better_by(c.score)))
+        chosen = next((c for c in tried if np.less_equal(*best.score.better_by(c.score))), best)
         kept = _felt_steps(chosen)
         if kept != chosen.steps:
-            chosen = self._try(kept, options, chosen, parts) or chosen
+            less = self._try(kept, options, chosen, parts)
+            if less is not None and np.less_equal(*best.score.better_by(less.score)):
+                chosen = less
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
         if self.given.effects is None:
             self._note(

@@ -112,6 +112,9 @@ def response_rate(flight: Flight) -> float:
             continue
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(x.size))) ** 2
         power = np.maximum(power - np.median(power[power.size // 2 :]), 0.0)
-        share = np.cumsum(power[1:]) / max(power[1:].sum(), 1e-300)
-        bands.append(float(np.fft.rfftfreq(x.size, segment.dt)[1:][np.searchsorted(share, 0.95)]))
+        total = power[1:].sum()
+        if not total > 0:
+            continue  # an axis that never moves
+        at = min(int(np.searchsorted(np.cumsum(power[1:]) / total, 0.95)), power.size - 2)
+        bands.append(float(np.fft.rfftfreq(x.size, segment.dt)[1 + at]))
     return 10.0 * max(bands) if bands else 100.0

@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from greybox.automatic.decide import Decided, Say
+import numpy as np
+
+from greybox.automatic.decide import QUICK, Decided, Given, Say
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
 from greybox.automatic.samples import Removed, without_impossible
 from greybox.automatic.sets import BASE
@@ -22,8 +24,9 @@ from greybox.errors import FitError
 from greybox.estimation.fit import Progress, fit
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.record import sample_time
-from greybox.estimation.result import Fit
+from greybox.estimation.result import Estimate, Fit
 from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
 
@@ -118,6 +121,7 @@ def prepare(
     if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
+        report = check(kept, vehicle)  # offsets in samples are those of this rate
     return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names)
 
 
@@ -135,10 +139,12 @@ def fit_decided(
     progress: Progress | None = None,
 ) -> Fit:
     """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls back
-    to the likelihood, then to the base set. Every step down is a decision with its reason.
+    to the likelihood, then to the base set; what the user said stays. Every step down is a decision
+    with its reason.
 
     Raises `FitError` where nothing can be fitted.
     """
+    said = decided.given
     decisions = [*prepared.decisions(), *decided.decisions]
     recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
 
@@ -147,7 +153,7 @@ def fit_decided(
         say(f"  {what}: {reason}")
 
     while True:
-        less = _less(recipe)
+        less = _less(recipe, said)
         try:
             found = fit_recipe(vehicle, prepared.data, recipe, progress)
         except FitError as error:
@@ -156,17 +162,18 @@ def fit_decided(
             step_down(less[1], str(error))
             recipe = less[0]
             continue
-        bent = [n for n, e in found.parameters.items() if e.at_bound]
+        bent = [n for n, e in found.parameters.items() if _at_bound(e)]
         null = {d.name: d.null for d in found.model.dynamics.parameters}
         absent = tuple(n for n in bent if found.parameters[n].value == null[n])
         if absent:
             step_down(f"{', '.join(absent)} held at nothing", "where the search ended, at the bound")
             options = recipe.options
-            values = {n: v for n, v in options.values.items() if n not in absent}
+            values = {**options.values, **{n: found.parameters[n].value for n in absent}}
             options = options.but(fixed=(*options.fixed, *absent), values=values)
             recipe = replace(recipe, options=options)
             continue
-        gone = [e for e in recipe.effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
+        open_effects = recipe.effects if said.effects is None else ()
+        gone = [e for e in open_effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
         if gone:
             bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
             step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
@@ -177,6 +184,31 @@ def fit_decided(
             recipe = less[0]
             continue
         return found.with_history(recipe, tuple(decisions))
+
+
+def judged_on_pieces(
+    vehicle: Vehicle, decided: Decided, found: Fit
+) -> tuple[IdentifiedModel, Dataset] | None:
+    """(the recipe of `found` fitted to the first parts of the flights, the pieces left out), for its
+    verdict; None where no piece was left out or the fit did not arrive."""
+    recipe = found.provenance.recipe
+    if decided.candidate is None or decided.first_parts is None or decided.left_out is None:
+        return None
+    if recipe is None or not found.converged:
+        return None
+    if replace(recipe, rate=None) == replace(decided.recipe, rate=None):
+        return decided.candidate.fit.model, decided.left_out
+    options = recipe.options.but(solver=QUICK, considered=())
+    again = fit_recipe(vehicle, decided.first_parts, replace(recipe, options=options))
+    return again.model, decided.left_out
+
+
+def _at_bound(estimate: Estimate) -> bool:
+    """Whether a parameter is at its bound, in most flights where each has its own."""
+    if not estimate.per_flight:
+        return estimate.at_bound
+    held = sum(not np.isfinite(std) for _, std in estimate.per_flight.values())
+    return 2 * held > len(estimate.per_flight)
 
 
 def _name(effect: str | Effect) -> str:
@@ -195,15 +227,19 @@ def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
             fixed=tuple(n for n in options.fixed if n.split(".")[0] not in names),
             shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
             values={n: v for n, v in options.values.items() if n.split(".")[0] not in names},
+            considered=tuple(n for n in options.considered if n.split(".")[0] not in names),
+            free=None if options.free is None else [n for n in options.free if n.split(".")[0] not in names],
         ),
     )
 
 
-def _less(recipe: Recipe) -> tuple[Recipe, str] | None:
-    """The next smaller recipe and what it is called; None below the base set."""
+def _less(recipe: Recipe, said: Given) -> tuple[Recipe, str] | None:
+    """The next smaller recipe and what it is called; None below the base set and below what was said."""
     options = recipe.options
-    if options.predictor != "innovation":
+    if options.predictor != "innovation" and "predictor" not in said.choices:
         plain = options.but(predictor="innovation", initialisation="equation-error")
         return replace(recipe, options=plain), "likelihood one step ahead"
+    if said.effects is not None:
+        return None
     more = [e for e in recipe.effects if _name(e) not in BASE.effects]
     return (_without(recipe, more), "rotors and sensors alone") if more else None

@@ -200,18 +200,20 @@ def _decided(
     """(the automatic fit, (model of the first parts of the flights, pieces left out) or None)."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
-    from greybox.automatic.fit import fit_decided
+    from greybox.automatic.fit import fit_decided, judged_on_pieces
+    from greybox.estimation.status import Interrupted
 
     say("deciding what is open, on pieces of the flights that are left out:")
     for done in prepared.decisions():
         say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
-    decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+    try:
+        decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+    except Interrupted:  # a trial on pieces of the flights is no result
+        raise KeyboardInterrupt from None
     say("fitting all flights:")
     result = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    if decided.candidate is None or decided.left_out is None:
-        return result, None
-    return result, (decided.candidate.fit.model, decided.left_out)
+    return result, judged_on_pieces(vehicle, decided, result)
 
 
 def _validated(

@@ -111,18 +111,22 @@ def _considered_spread(problem: Problem, data: Dataset, options: FitOptions, the
     Determination, ch. 6).
     """
     fixed = tuple(n for n in options.fixed if n not in options.considered)
-    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed))
+    free = None if options.free is None else (*options.free, *options.considered)
+    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
     own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
     base = dict(zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True))
     at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
     places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
-    mine = np.array([places[u.name, u.flight] for u in problem.unknowns])
-    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own])
+    mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
+    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp)
     value = wide.evaluate(at)
-    if value.hessian is None:
+    if value.hessian is None or value.gradient is None:
         return np.zeros((problem.n, problem.n))
-    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine, mine)])
-    moves = -inverse @ value.hessian[np.ix_(mine, others)]
+    g = value.gradient[mine]
+    loose = ~(((theta <= problem.lower) & (g > 0)) | ((theta >= problem.upper) & (g < 0)))
+    moves = np.zeros((problem.n, others.size))
+    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
+    moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
     sigma = np.array([wide.unknowns[i].sigma for i in others])
     return (moves * sigma**2) @ moves.T
 
