@@ -51,6 +51,8 @@ ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
 QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
 """Solver of the comparison: ends within about half a standard error of the optimum."""
+WORTH = 0.05
+"""Share of its squared error by which a larger set must improve a smaller one: less is worth nothing."""
 POOR = 0.1
 """Share of the last value's squared error (a third of the error) above which the likelihood foretells
 poorly, so that errors further ahead are tried for every set."""
@@ -229,7 +231,7 @@ class _Decider:
     def _held(self, options: FitOptions) -> FitOptions:
         """Of two numbers of which the flights show the ratio alone, the one that is known better."""
         said = self.given.choices
-        if "free" in said:
+        if "free" in said or ("fixed" in said and not options.fixed):  # said: nothing is held
             return options
         named = set(said.get("per_flight", ()))
         declared = {d.name: d for d in core_parameters(self.vehicle)}
@@ -349,11 +351,11 @@ class _Decider:
         if not tried:
             return None
         best = min(tried, key=lambda c: c.score.mean)
-        chosen = next((c for c in tried if np.less_equal(*best.score.better_by(c.score))), best)
+        chosen = next((c for c in tried if _as_good(c, best)), best)
         kept = _felt_steps(chosen)
         if kept != chosen.steps:
             less = self._try(kept, options, chosen, parts)
-            if less is not None and np.less_equal(*best.score.better_by(less.score)):
+            if less is not None and _as_good(less, best):
                 chosen = less
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
         if self.given.effects is None:
@@ -402,6 +404,12 @@ class _Decider:
             "--predictor",
         )
         return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
+
+
+def _as_good(one: Candidate, best: Candidate) -> bool:
+    """Whether the best is better by less than its standard error, or by less than is worth anything."""
+    gain, error = best.score.better_by(one.score)
+    return gain <= max(error, WORTH * one.score.mean)
 
 
 def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:

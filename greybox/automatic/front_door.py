@@ -7,7 +7,7 @@ from typing import Unpack
 
 from greybox.automatic.decide import Given, Say, decide
 from greybox.automatic.facts import facts_of
-from greybox.automatic.fit import fit_decided, judged_on_pieces, prepare
+from greybox.automatic.fit import adaptation, fit_decided, judged_on_pieces, prepare
 from greybox.data import Dataset
 from greybox.errors import DataError, GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
@@ -88,9 +88,10 @@ def _automatic(
     try:
         pieces = judged_on_pieces(vehicle, decided, found)
         if test is not None and len(test):
-            rate = 1 / sample_time(prepared.data)
+            dt = sample_time(prepared.data)
+            rate = prepared.rate if all(abs(f.dt - dt) <= 1e-6 * dt for f in test) else 1 / dt
             held_out = prepare(vehicle, test, rate=rate, all_flights=True, decide_rate=False).data
-            seen = validate(found.model, held_out, adapt=recipe.adapt, hints=hints)
+            seen = validate(found.model, held_out, adapt=adaptation(recipe, held_out), hints=hints)
         elif pieces is not None:
             seen = validate(pieces[0], pieces[1], hints=hints, judged_on=LEFT_OUT)
         else:

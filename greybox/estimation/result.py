@@ -206,6 +206,16 @@ class Fit:
         return self.diagnostics.warnings
 
     @property
+    def recipe(self) -> Recipe | None:
+        """What an explicit fit needs to give the same numbers; None where nothing was decided."""
+        return self.provenance.recipe
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was decided automatically, and why."""
+        return self.provenance.decisions
+
+    @property
     def problem(self) -> Problem:
         """The problem that was solved."""
         return self.provenance.problem

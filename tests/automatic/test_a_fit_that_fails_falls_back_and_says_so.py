@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.automatic.decide import Decided
+from greybox.automatic.fit import fit_decided, prepare
 from greybox.errors import DataError, UnknownNameError
+from greybox.estimation.options import FitOptions
+from greybox.estimation.recipe import Recipe
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from tests.automatic.craft import flight, flights, flown, vehicle
 
@@ -34,11 +38,22 @@ def test_a_parameter_at_its_bound_goes_and_it_is_said():
 
 def test_a_fit_that_does_not_converge_falls_back_and_says_as_what():
     hurried = LevenbergMarquardt(max_iterations=1)
-    result = gb.fit(vehicle(), flights(**SHORT), predictor="multi-step", solver=hurried, noise={"noise.sensor.p": 1.0})
+    options = FitOptions(predictor="multi-step", solver=hurried, noise={"noise.sensor.p": 1.0})
+    recipe = Recipe(effects=("motor_lag", "gyro_bias"), options=options)
+    decided = Decided(recipe=recipe, decisions=(), candidate=None, first_parts=None, left_out=None)
+    result = fit_decided(vehicle(), prepare(vehicle(), flights(**SHORT)), decided)
     assert [d.choice for d in falls(result)] == ["likelihood one step ahead"]
     assert "NOT converged" in falls(result)[0].reason
     assert result.provenance.recipe.options.predictor == "innovation"
     assert not result.converged, "the base set has nothing below it: kept, and never called converged"
+
+
+def test_what_was_said_stays_where_a_fit_fails():
+    hurried = LevenbergMarquardt(max_iterations=1)
+    result = gb.fit(vehicle(), flights(**SHORT), predictor="multi-step", solver=hurried, noise={"noise.sensor.p": 1.0})
+    assert falls(result) == []
+    assert result.provenance.recipe.options.predictor == "multi-step"
+    assert not result.converged
 
 
 @pytest.mark.parametrize("wrong", [{"predictor": "inovation"}, {"criterion": "gauss"}, {"solver": "newton"}, {"fixd": ()}])
