@@ -52,10 +52,11 @@ ADAPT = 5.0
 QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
 """Solver of the comparison: ends within about half a standard error of the optimum."""
 WORTH = 0.05
-"""Share of its squared error by which a larger set must improve a smaller one: less is worth nothing."""
+"""Share of its squared error by which a larger set must improve a smaller one: less is worth
+nothing."""
 POOR = 0.1
-"""Share of the last value's squared error (a third of the error) above which the likelihood foretells
-poorly, so that errors further ahead are tried for every set."""
+"""Share of the last value's squared error (a third of the error) above which the likelihood
+foretells poorly, so that errors further ahead are tried for every set."""
 DIGITS = 3
 """Significant digits of the values that the final fit starts from: a start need not be exact."""
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
@@ -78,8 +79,8 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A set of effects fitted to the first parts of the flights, and how it foretells the rest: by the
-    one-step `likelihood` and, where that was tried, by errors further `ahead`."""
+    """A set of effects fitted to the first parts of the flights, and how it foretells the rest: by
+    the one-step `likelihood` and, where that was tried, by errors further `ahead`."""
 
     steps: tuple[Step, ...]
     likelihood: Fit
@@ -109,13 +110,15 @@ class Candidate:
     def score(self) -> Score:
         """Its score."""
         better = self.ahead_score is not None and self.looks_ahead
-        return self.ahead_score if better and self.ahead_score is not None else self.likelihood_score
+        return (
+            self.ahead_score if better and self.ahead_score is not None else self.likelihood_score
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decided:
-    """The recipe and how it came about. `candidate` is the recipe fitted to the `first_parts` of the
-    flights and `left_out` the rest of them (all None where every flight is too short)."""
+    """The recipe and how it came about. `candidate` is the recipe fitted to the `first_parts` of
+    the flights and `left_out` the rest of them (all None where every flight is too short)."""
 
     recipe: Recipe
     decisions: tuple[Decision, ...]
@@ -153,13 +156,18 @@ class _Decider:
         options = self._held(self._noise(self._disturbance(said)))
         parts = self._parts()
         if self.given.effects is not None:
-            steps: tuple[Step, ...] = (Step(name="the effects asked for", effects=self.given.effects),)
+            steps: tuple[Step, ...] = (
+                Step(name="the effects asked for", effects=self.given.effects),
+            )
         else:
             steps = nested_sets(self.vehicle, self.facts, input=self.given.input)
         if parts is None:
             self._note(
-                "effects", _listed(steps[:1]), f"every flight is shorter than {SHORTEST:g} s: "
-                "no piece can be left out to compare larger sets", "--effects",
+                "effects",
+                _listed(steps[:1]),
+                f"every flight is shorter than {SHORTEST:g} s: "
+                "no piece can be left out to compare larger sets",
+                "--effects",
             )
             return self._decided(steps[:1], options, None, None)
         chosen = self._smallest_good(steps, options, parts)
@@ -170,16 +178,24 @@ class _Decider:
         return self._decided(chosen.steps, self._started(options, chosen), chosen, parts)
 
     def _decided(
-        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None,
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        candidate: Candidate | None,
         parts: tuple[Dataset, Dataset] | None,
     ) -> Decided:
         recipe = Recipe(
-            effects=_effects(steps), input=self.given.input, kinematic_noise=self.kinematic_noise,
+            effects=_effects(steps),
+            input=self.given.input,
+            kinematic_noise=self.kinematic_noise,
             options=self._with_flight_values(options, steps),
         )
         return Decided(
-            recipe=replace(recipe, adapt=self._adapt(recipe)), decisions=tuple(self.decisions),
-            given=self.given, candidate=candidate, first_parts=parts[0] if parts else None,
+            recipe=replace(recipe, adapt=self._adapt(recipe)),
+            decisions=tuple(self.decisions),
+            given=self.given,
+            candidate=candidate,
+            first_parts=parts[0] if parts else None,
             left_out=parts[1] if parts else None,
         )
 
@@ -195,7 +211,8 @@ class _Decider:
         elif "attitude" in self.facts.sensors:
             self.kinematic_noise = self.facts.wander > WANDER
             self._note(
-                "noise on the attitude kinematics", "yes" if self.kinematic_noise else "no",
+                "noise on the attitude kinematics",
+                "yes" if self.kinematic_noise else "no",
                 f"gyro and attitude drift apart by {self.facts.wander:.1f} samples within a flight",
                 "--kinematic-noise",
             )
@@ -206,7 +223,8 @@ class _Decider:
         felt = bool(self.facts.sensors & {"position", "velocity", "accelerometer"})
         groups = ("force", "torque") if felt else ("torque",)
         self._note(
-            "disturbance states", ", ".join(groups),
+            "disturbance states",
+            ", ".join(groups),
             "gusts and what is not modelled push for a while; no parameter shall explain them",
             "--disturbance",
         )
@@ -223,13 +241,16 @@ class _Decider:
         if not levels:
             return options
         self._note(
-            "sensor noise", "starts from the fastest part of each channel and is estimated",
-            "the vehicle file states none; third differences of the channels", "--noise",
+            "sensor noise",
+            "starts from the fastest part of each channel and is estimated",
+            "the vehicle file states none; third differences of the channels",
+            "--noise",
         )
         return options.but(noise=levels)
 
     def _held(self, options: FitOptions) -> FitOptions:
-        """Of two numbers of which the flights show the ratio alone, the one that is known better."""
+        """Of two numbers of which the flights show the ratio alone, the one that is known
+        better."""
         said = self.given.choices
         if "free" in said or ("fixed" in said and not options.fixed):  # said: nothing is held
             return options
@@ -245,7 +266,8 @@ class _Decider:
             better, worse = sorted(both, key=lambda d: (d.name in named, d.sigma / abs(d.nominal)))
             held.append(better.name)
             self._note(
-                better.name, f"held at {better.nominal:.4g} {better.unit}",
+                better.name,
+                f"held at {better.nominal:.4g} {better.unit}",
                 f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
                 f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
                 "--fixed, --considered",
@@ -257,13 +279,17 @@ class _Decider:
         if self.given.adapt is not None:
             return self.given.adapt
         model = self._model(recipe.effects)
-        own = {d.name for d in model.parameters if d.scope == "flight"} | set(recipe.options.per_flight)
+        own = {d.name for d in model.parameters if d.scope == "flight"} | set(
+            recipe.options.per_flight
+        )
         own -= set(recipe.options.shared) | set(recipe.options.fixed)
         if not own:
             return None
         self._note(
-            "a new flight", f"adapts on its first {ADAPT:g} s",
-            f"{len(own)} parameters have one value per flight", "--adapt",
+            "a new flight",
+            f"adapts on its first {ADAPT:g} s",
+            f"{len(own)} parameters have one value per flight",
+            "--adapt",
         )
         return ADAPT
 
@@ -273,13 +299,24 @@ class _Decider:
         if "initialisation" in said or "values" in said:
             return options
         declared = {d.name: d for d in chosen.fit.model.dynamics.parameters}
-        gone = [n for n, e in chosen.fit.parameters.items() if e.at_bound and e.value == declared[n].null]
+        gone = [
+            n
+            for n, e in chosen.fit.parameters.items()
+            if e.at_bound and e.value == declared[n].null
+        ]
         if gone and "free" not in said:
-            self._note(", ".join(gone), "held at nothing", "where the comparison ended, at the bound", "--fixed")
+            self._note(
+                ", ".join(gone),
+                "held at nothing",
+                "where the comparison ended, at the bound",
+                "--fixed",
+            )
             options = options.but(fixed=(*options.fixed, *gone))
         start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items()}
         if "noise" not in said:
-            options = options.but(noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()})
+            options = options.but(
+                noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()}
+            )
         return options.but(values=start, initialisation="nominal")
 
     # ------------------------------------------------------------ comparing on pieces left out
@@ -296,8 +333,12 @@ class _Decider:
 
     def _model(self, effects: tuple[str | Effect, ...]) -> PhysicsModel:
         return build_model(
-            self.vehicle, self.data.channels, effects, input=self.given.input,
-            sample_time=sample_time(self.data), noncausal=self.data.noncausal,
+            self.vehicle,
+            self.data.channels,
+            effects,
+            input=self.given.input,
+            sample_time=sample_time(self.data),
+            noncausal=self.data.noncausal,
             kinematic_noise=self.kinematic_noise,
         )
 
@@ -308,8 +349,13 @@ class _Decider:
         return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
 
     def _try(
-        self, steps: tuple[Step, ...], options: FitOptions, before: Candidate | None,
-        parts: tuple[Dataset, Dataset], *, look_ahead: bool = False,
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        before: Candidate | None,
+        parts: tuple[Dataset, Dataset],
+        *,
+        look_ahead: bool = False,
     ) -> Candidate | None:
         """`steps` fitted and judged, from where `before` ended; None where that is not possible.
 
@@ -333,7 +379,9 @@ class _Decider:
         if "predictor" in self.given.choices or not (look_ahead or judged.mean > POOR):
             return found
         try:
-            many = fit(model, parts[0], _from(plain, plain, options, set()).but(predictor="multi-step"))
+            many = fit(
+                model, parts[0], _from(plain, plain, options, set()).but(predictor="multi-step")
+            )
             return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}, errors ahead: {error}")
@@ -360,16 +408,21 @@ class _Decider:
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
         if self.given.effects is None:
             self._note(
-                "effects", _listed(chosen.steps), "the smallest set within one standard error of the "
+                "effects",
+                _listed(chosen.steps),
+                "the smallest set within one standard error of the "
                 "best on pieces left out; squared error ahead over that of holding the last value, "
-                f"step by step: {listed}", "--effects, --per-flight",
+                f"step by step: {listed}",
+                "--effects, --per-flight",
             )
         return chosen
 
     def _thrust_per_flight(
         self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
     ) -> tuple[FitOptions, Candidate]:
-        open_question = "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        open_question = (
+            "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        )
         if not open_question or len(parts[0]) < 2 or THRUST not in chosen.fit.parameters:
             return options, chosen
         again = self._try(chosen.steps, options.but(per_flight=(THRUST,)), chosen, parts)
@@ -380,8 +433,10 @@ class _Decider:
         gain, error = again.score.better_by(chosen.score)
         differ = chance < CLEAR and spread > NOTICEABLE and gain > -error
         self._note(
-            "thrust scale", "one value per flight" if differ else "one value for all flights",
-            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})", "--per-flight, --shared",
+            "thrust scale",
+            "one value per flight" if differ else "one value for all flights",
+            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})",
+            "--per-flight, --shared",
         )
         return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
 
@@ -398,7 +453,9 @@ class _Decider:
         _, error = chosen.ahead_score.better_by(chosen.likelihood_score)
         self._note(
             "criterion",
-            "errors up to half a second ahead" if chosen.looks_ahead else "likelihood one step ahead",
+            "errors up to half a second ahead"
+            if chosen.looks_ahead
+            else "likelihood one step ahead",
             f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, {chosen.likelihood_score.mean:.3f} by "
             f"the likelihood, the difference +- {error:.3f}",
             "--predictor",
@@ -407,14 +464,15 @@ class _Decider:
 
 
 def _as_good(one: Candidate, best: Candidate) -> bool:
-    """Whether the best is better by less than its standard error, or by less than is worth anything."""
+    """Whether the best is better by less than its standard error, or by less than is worth
+    anything."""
     gain, error = best.score.better_by(one.score)
     return gain <= max(error, WORTH * one.score.mean)
 
 
 def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
-    """`options` from the estimates of one fit and the noise levels of another, less those of effects
-    that are `dropped`."""
+    """`options` from the estimates of one fit and the noise levels of another, less those of
+    effects that are `dropped`."""
     values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
     return options.but(
         values={**values, **options.values}, noise=noise_of(noise.model), initialisation="nominal"
@@ -438,12 +496,14 @@ def _listed(steps: tuple[Step, ...]) -> str:
 
 
 def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
-    """The steps without those of their effects, after the first step, whose every parameter is nothing
-    within its error."""
+    """The steps without those of their effects, after the first step, whose every parameter is
+    nothing within its error."""
     first, *more = candidate.steps
     kept = [first]
     for step in more:
-        felt = tuple(e for e in step.effects if _felt(e if isinstance(e, str) else e.name, candidate.fit))
+        felt = tuple(
+            e for e in step.effects if _felt(e if isinstance(e, str) else e.name, candidate.fit)
+        )
         if felt:
             kept.append(replace(step, effects=felt))
     return tuple(kept)
@@ -454,7 +514,9 @@ def _felt(effect: str, fitted: Fit) -> bool:
     own = [(n, e) for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
     numbers = [(null[n], *v) for n, e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
     # An estimate at a bound has no error: felt, unless that bound is its null.
-    return any(v != zero and (not np.isfinite(std) or abs(v) > FELT * std) for zero, v, std in numbers)
+    return any(
+        v != zero and (not np.isfinite(std) or abs(v) > FELT * std) for zero, v, std in numbers
+    )
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
@@ -464,7 +526,9 @@ def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
     weights = errors**-2
     middle = float((weights * values).sum() / weights.sum())
     chi2 = float((weights * (values - middle) ** 2).sum())
-    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(values.std(ddof=1) / abs(middle))
+    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(
+        values.std(ddof=1) / abs(middle)
+    )
 
 
 def _first_seconds(flight: Flight, seconds: float) -> Flight:

@@ -1,4 +1,5 @@
-"""What the flights show before anything is fitted: the facts that the automatic fit decides from."""
+"""What the flights show before anything is fitted: the facts that the automatic fit decides
+from."""
 
 from __future__ import annotations
 
@@ -27,9 +28,9 @@ PLENTY = 5.0
 class Facts:
     """Facts of a set of flights. `sensors` are those whose columns are all there (causal ones only)
     and `noise` the level of the fastest part of each of their innovation components, by sensor and
-    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a flight, `apart` by
-    how much they are apart in the middle or drift (both 0 where the log has no attitude), `seconds` the
-    time flown."""
+    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a
+    flight, `apart` by how much they are apart in the middle or drift (both 0 where the log has no
+    attitude), `seconds` the time flown."""
 
     sensors: frozenset[str]
     noise: Mapping[tuple[str, str], float]
@@ -99,7 +100,8 @@ def _varies(data: Dataset, name: str) -> bool:
 
 def response_rate(flight: Flight) -> float:
     """Sample rate [Hz] that the response of a craft needs: ten times the frequency below which lie
-    95 % of the power of the body's angular acceleration as the gyro shows it, white noise left out."""
+    95 % of the power of the body's angular acceleration as the gyro shows it, white noise left
+    out."""
     segment = max(flight.segments, key=lambda s: s.n)
     names = [n for n in ("p", "q", "r") if n in segment.channels] or [
         n for n in ("ax", "ay", "az") if n in segment.channels

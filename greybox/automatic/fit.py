@@ -1,8 +1,8 @@
 """fit_automatically: a vehicle file and flights in, the best model that they carry out, and why.
 
-Samples that cannot be are taken out, flights are brought to one rate, those of another craft are left
-out; then `decide` chooses and the recipe is fitted as the explicit command would. A stage that fails
-falls back to less, and says so.
+Samples that cannot be are taken out, flights are brought to one rate, those of another craft are
+left out; then `decide` chooses and the recipe is fitted as the explicit command would. A stage that
+fails falls back to less, and says so.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LEFT_TO_JUDGE = 3.0
 
 
 def adaptation(recipe: Recipe, test: Dataset) -> float | None:
-    """Seconds at the start of `test` flights that a recipe's own time of adaptation takes; None where a
-    flight is too short for it, or nothing is to be adapted."""
+    """Seconds at the start of `test` flights that a recipe's own time of adaptation takes; None
+    where a flight is too short for it, or nothing is to be adapted."""
     if recipe.adapt is None or not test.flights:
         return None
     return recipe.adapt if min(f.duration for f in test) >= LEFT_TO_JUDGE * recipe.adapt else None
@@ -44,8 +44,8 @@ def adaptation(recipe: Recipe, test: Dataset) -> float | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were resampled
-    to, None: their own; `names` are those of all flights that were given, in order."""
+    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were
+    resampled to, None: their own; `names` are those of all flights that were given, in order."""
 
     data: Dataset
     report: CheckReport
@@ -99,8 +99,8 @@ def prepare(
     all_flights: bool = False,
     decide_rate: bool = True,
 ) -> Prepared:
-    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs' own
-    where it is not to be decided).
+    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
+    own where it is not to be decided).
 
     Raises `DataError` for logs that are no flights.
     """
@@ -122,25 +122,38 @@ def prepare(
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
         report = check(kept, vehicle)  # offsets in samples are those of this rate
-    return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names)
+    return Prepared(
+        data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names
+    )
 
 
-def fit_recipe(vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None) -> Fit:
+def fit_recipe(
+    vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None
+) -> Fit:
     """The explicit fit that a recipe describes, to flights that have its rate already."""
     model = build_model(
-        vehicle, data.channels, recipe.effects, input=recipe.input, sample_time=sample_time(data),
-        noncausal=data.noncausal, kinematic_noise=recipe.kinematic_noise,
+        vehicle,
+        data.channels,
+        recipe.effects,
+        input=recipe.input,
+        sample_time=sample_time(data),
+        noncausal=data.noncausal,
+        kinematic_noise=recipe.kinematic_noise,
     )
     return fit(model, data, recipe.options, progress=progress)
 
 
 def fit_decided(
-    vehicle: Vehicle, prepared: Prepared, decided: Decided, *, say: Say = lambda text: None,
+    vehicle: Vehicle,
+    prepared: Prepared,
+    decided: Decided,
+    *,
+    say: Say = lambda text: None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls back
-    to the likelihood, then to the base set; what the user said stays. Every step down is a decision
-    with its reason.
+    """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls
+    back to the likelihood, then to the base set; what the user said stays. Every step down is a
+    decision with its reason.
 
     Raises `FitError` where nothing can be fitted.
     """
@@ -166,7 +179,9 @@ def fit_decided(
         null = {d.name: d.null for d in found.model.dynamics.parameters}
         absent = tuple(n for n in bent if found.parameters[n].value == null[n])
         if absent:
-            step_down(f"{', '.join(absent)} held at nothing", "where the search ended, at the bound")
+            step_down(
+                f"{', '.join(absent)} held at nothing", "where the search ended, at the bound"
+            )
             options = recipe.options
             values = {**options.values, **{n: found.parameters[n].value for n in absent}}
             options = options.but(fixed=(*options.fixed, *absent), values=values)
@@ -189,8 +204,8 @@ def fit_decided(
 def judged_on_pieces(
     vehicle: Vehicle, decided: Decided, found: Fit
 ) -> tuple[IdentifiedModel, Dataset] | None:
-    """(the recipe of `found` fitted to the first parts of the flights, the pieces left out), for its
-    verdict; None where no piece was left out or the fit did not arrive."""
+    """(the recipe of `found` fitted to the first parts of the flights, the pieces left out), for
+    its verdict; None where no piece was left out or the fit did not arrive."""
     recipe = found.provenance.recipe
     if decided.candidate is None or decided.first_parts is None or decided.left_out is None:
         return None
@@ -228,13 +243,16 @@ def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
             shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
             values={n: v for n, v in options.values.items() if n.split(".")[0] not in names},
             considered=tuple(n for n in options.considered if n.split(".")[0] not in names),
-            free=None if options.free is None else [n for n in options.free if n.split(".")[0] not in names],
+            free=None
+            if options.free is None
+            else [n for n in options.free if n.split(".")[0] not in names],
         ),
     )
 
 
 def _less(recipe: Recipe, said: Given) -> tuple[Recipe, str] | None:
-    """The next smaller recipe and what it is called; None below the base set and below what was said."""
+    """The next smaller recipe and what it is called; None below the base set and below what was
+    said."""
     options = recipe.options
     if options.predictor != "innovation" and "predictor" not in said.choices:
         plain = options.but(predictor="innovation", initialisation="equation-error")

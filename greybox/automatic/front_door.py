@@ -41,14 +41,14 @@ def fit(
     """Fit a vehicle or a model to flights.
 
     A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
-    does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets a
-    line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options` and the
-    keywords describe, nothing is decided.
+    does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets
+    a line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options`
+    and the keywords describe, nothing is decided.
 
-    The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion, solver,
-    initialisation, disturbance, free, fixed, considered, per_flight, shared, values, priors,
-    flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build, use_compiler. Raises what
-    `greybox.estimation.fit.fit` raises.
+    The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
+    solver, initialisation, disturbance, free, fixed, considered, per_flight, shared, values,
+    priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
+    use_compiler. Raises what `greybox.estimation.fit.fit` raises.
     """
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}

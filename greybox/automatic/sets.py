@@ -1,8 +1,9 @@
 """The standard sets of effects, nested: what small multirotors have, most common first.
 
-Each step adds what the steps before cannot say; which step a craft needs, left-out flight decides, and
-of its effects those stay that are felt. Order and content follow what flights of small quadrotors
-showed: the air's forces and moments, then what is trimmed anew for every flight, then clocks.
+Each step adds what the steps before cannot say; which step a craft needs, left-out flight decides,
+and of its effects those stay that are felt. Order and content follow what flights of small
+quadrotors showed: the air's forces and moments, then what is trimmed anew for every flight, then
+clocks.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
 
 APART = 0.3
-"""Samples by which attitude and gyro are apart from which a late pose is offered: the resolution of the
-check that measures it."""
+"""Samples by which attitude and gyro are apart from which a late pose is offered: the resolution of
+the check that measures it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +35,10 @@ def names_of(step: Step) -> tuple[str, ...]:
     return tuple(e if isinstance(e, str) else e.name for e in step.effects)
 
 
-BASE = Step(name="rotors and sensors", effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"))
+BASE = Step(
+    name="rotors and sensors",
+    effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"),
+)
 
 STEPS = (
     Step(
@@ -55,15 +59,16 @@ def nested_sets(
 ) -> tuple[Step, ...]:
     """The base and the steps after it whose effects can be felt by the sensors of these flights.
 
-    Effects of the vehicle file are there from the start and not offered again. Rotor speeds that are
-    the `input` already hold what shapes a command.
+    Effects of the vehicle file are there from the start and not offered again. Rotor speeds that
+    are the `input` already hold what shapes a command.
     """
     steps = []
     for step in (BASE, *STEPS):
         usable = tuple(
-            n for n in names_of(step)
+            n
+            for n in names_of(step)
             if n not in vehicle.effects and _felt(n, vehicle, facts) and _acts_on(n, input)
-        )  # fmt: skip
+        )
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
@@ -79,7 +84,10 @@ def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
         return False
     if "vbat" in effect.needs.columns and not facts.voltage:
         return False
-    if name in ("rotor_drag", "blade_flapping"):  # proportional to a velocity that something must show
+    if name in (
+        "rotor_drag",
+        "blade_flapping",
+    ):  # proportional to a velocity that something must show
         return bool(facts.sensors & {"position", "velocity"})
     if name == "pose_delay":  # offered where attitude and gyro were seen apart
         return facts.has_pose and facts.has_imu and facts.apart > APART

@@ -1,4 +1,5 @@
-"""Which channels a record usually has at which sample: channels that come at a lower rate repeat in a pattern."""
+"""Which channels a record usually has at which sample: channels that come at a lower rate repeat in
+a pattern."""
 
 from __future__ import annotations
 
@@ -13,12 +14,14 @@ from greybox.symbolic import BoolArray, FloatArray
 LONGEST = 64
 """Samples of the longest pattern of channels that is looked for: 1.5 Hz in a 100 Hz log."""
 REPEATS = 0.95
-"""Share of the samples that have to repeat a pattern: fewer than one lost sample in twenty leaves it what it is."""
+"""Share of the samples that have to repeat a pattern: fewer than one lost sample in twenty leaves
+it what it is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pattern:
-    """Channels of a record that repeat: `there` (L, n_e), sample t has those of phase t mod L, as a rule."""
+    """Channels of a record that repeat: `there` (L, n_e), sample t has those of phase t mod L, as a
+    rule."""
 
     there: BoolArray
 
@@ -40,7 +43,8 @@ class Pattern:
 
     @cached_property
     def parts(self) -> tuple[tuple[int, int], ...]:
-        """The runs in parts of 1, 2, 4, ... phases: after a sample that tells much things change fast."""
+        """The runs in parts of 1, 2, 4, ... phases: after a sample that tells much things change
+        fast."""
         found = []
         for begin, size in self.runs:
             end, part = begin + size, 1
@@ -51,7 +55,8 @@ class Pattern:
 
     @cached_property
     def ahead(self) -> int:
-        """Samples to the phase from which on patterns that are the same but for their phase look alike."""
+        """Samples to the phase from which on patterns that are the same but for their phase look
+        alike."""
         turned = [np.roll(self.there, -k, axis=0).tobytes() for k in range(self.length)]
         return min(range(self.length), key=turned.__getitem__)
 
@@ -61,8 +66,8 @@ class Pattern:
 
 
 def pattern_of(mask: FloatArray) -> Pattern:
-    """The shortest pattern that the channels `mask` (n, n_e) repeat: L up to `LONGEST`, in `REPEATS` of the samples; all
-    channels that are ever there where they repeat none."""
+    """The shortest pattern that the channels `mask` (n, n_e) repeat: L up to `LONGEST`, in
+    `REPEATS` of the samples; all channels that are ever there where they repeat none."""
     there = np.asarray(mask != 0)
     n = len(there)
     for length in range(1, min(LONGEST, n // 3) + 1):
