@@ -6,7 +6,8 @@ spread of the start, over the samples with their channels (`greybox.estimation.e
 followed sample by sample first, then at times that grow in proportion, each taken in the middle of
 the stretch of samples that it stands for: without process noise a filter never settles, its gain
 falls like 1/k (recursive least squares; Ljung 1999, System Identification, sec. 11.2), and log2(n)
-stretches with a few nodes each follow it. The nodes depend on sample numbers only, so that derivatives are exact.
+stretches with a few nodes each follow it. The nodes depend on sample numbers only, so that
+derivatives are exact.
 
 Channels that come at a lower rate repeat in a pattern of L samples. The settled covariance is then
 periodic (Bittanti, Colaneri and De Nicolao 1991, The Riccati Equation, ch. 6): one per phase. Where
