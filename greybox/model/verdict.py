@@ -24,6 +24,7 @@ class Outcome(enum.Enum):
     USABLE = "usable"
     NOT_USABLE = "not usable"
     TOO_CALM = "too calm"
+    PARTLY_JUDGED = "partly judged"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +78,7 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """0 usable or too calm to tell, 1 not usable."""
+        """0 usable, partly judged or too calm to tell, 1 not usable."""
         return 1 if self.refused else 0
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import hypothesis.strategies as st
 import numpy as np
 import pytest
@@ -66,6 +68,59 @@ def test_a_step_that_stays_is_no_single_sample(log):
     values = log.channels["x"].copy()
     values[250:] += 0.3
     assert without_impossible(with_channel(log, x=values), vehicle())[1] == ()
+
+
+def test_an_attitude_written_with_the_other_sign_is_the_same_attitude(log):
+    names = ("qw", "qx", "qy", "qz")
+    other = {n: log.channels[n].copy() for n in names}
+    for values in other.values():
+        values[[100, 250, 251, 400]] *= -1.0
+    assert without_impossible(with_channel(log, **other), vehicle())[1] == ()
+    other["qy"][400] += 0.4
+    _, (removed,) = without_impossible(with_channel(log, **other), vehicle())
+    assert (removed.channels, removed.count, removed.first_time) == (names, 1, log.t[400])
+
+
+def slow_pose(log):
+    """The log with a pose in every fifth row only, 20 Hz among 100 Hz."""
+    between = np.arange(log.n) % 5 != 0
+    pose = ("x", "y", "z", "qw", "qx", "qy", "qz")
+    return with_channel(log, **{n: np.where(between, np.nan, log.channels[n]) for n in pose})
+
+
+def test_a_slow_pose_among_fast_rows_is_judged_against_its_own_neighbours(log):
+    slow = slow_pose(log)
+    assert without_impossible(slow, vehicle())[1] == ()
+    place = slow.channels["x"].copy()
+    place[250] += 50.0
+    _, (removed,) = without_impossible(with_channel(slow, x=place), vehicle())
+    assert (removed.channels, removed.count, removed.first_time) == (("x", "y", "z"), 1, log.t[250])
+
+
+def test_a_row_with_the_stamp_of_the_one_before_hides_no_spike(log):
+    t, x = log.t.copy(), log.channels["x"].copy()
+    t[251] = t[250]
+    x[250] += 50.0
+    x[251] = np.nan
+    _, (removed,) = without_impossible(replace(with_channel(log, x=x), t=t), vehicle())
+    assert (removed.count, removed.first_time) == (1, log.t[250])
+
+
+def test_what_the_rotors_can_do_is_taken_at_full_command(log):
+    """The same craft with commands in percent: what is possible is what it was."""
+    own = vehicle()
+    c0, c1, c2 = own.actuator.thrust
+    scaled = (c0, replace(c1, value=c1.value / 100), replace(c2, value=c2.value / 1e4))
+    percent = replace(own, actuator=replace(own.actuator, u_max=100.0, thrust=scaled))
+    thrust = 4 * sum(c.value for c in own.actuator.thrust)
+    # Half of the limit, which is 5 times what full thrust explains, and beyond that of gravity alone.
+    push = 2.0 * thrust / own.mass.value + own.gravity
+    still = with_channel(log, **{n: np.zeros(log.n) for n in ("x", "y", "z")})
+    moved = np.zeros(log.n)
+    moved[250] = 2.5 * push * 0.5 * 0.01**2
+    assert 2.5 * push > 5.0 * own.gravity
+    for craft in (own, percent):
+        assert without_impossible(with_channel(still, x=moved), craft)[1] == ()
 
 
 def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
