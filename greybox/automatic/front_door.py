@@ -90,7 +90,15 @@ def _automatic(
         if test is not None and len(test):
             dt = sample_time(prepared.data)
             rate = prepared.rate if all(abs(f.dt - dt) <= 1e-6 * dt for f in test) else 1 / dt
-            held_out = prepare(vehicle, test, rate=rate, all_flights=True, decide_rate=False).data
+            tested = prepare(vehicle, test, rate=rate, all_flights=True, decide_rate=False)
+            for fault in tested.report.blocking:
+                say(f"data fault in {fault.flight}: {fault.message}")
+            hints += hints_of_checks(
+                tested.report,
+                effects=found.model.effects,
+                kinematic_noise=recipe.kinematic_noise,
+            )
+            held_out = tested.data
             seen = validate(found.model, held_out, adapt=adaptation(recipe, held_out), hints=hints)
         elif pieces is not None:
             seen = validate(pieces[0], pieces[1], hints=hints, judged_on=LEFT_OUT)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
+    from greybox.data.checks import CheckReport
     from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
     from greybox.model.vehicle import Vehicle
@@ -54,6 +55,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, write_atomic, write_json
@@ -71,7 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     prepared, test = _flights(arguments, vehicle)
-    warnings = [f"data fault in {f.flight}: {f.message}" for f in prepared.report.findings if f.severity == "blocking"]
+    faults = check(test, vehicle) if test.flights else None
+    blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
+    warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
     say_vehicle(vehicle, say)
@@ -111,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
     checked: dict[str, Any] | None = None
     table = ""
     try:
-        seen = _validated(arguments, result, prepared, test, pieces, horizons)
+        seen = _validated(arguments, result, prepared, test, faults, pieces, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
         checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
@@ -218,9 +222,10 @@ def _decided(
 
 def _validated(
     arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
-    pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
+    faults: CheckReport | None, pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
 ) -> Validation:  # fmt: skip
-    """On test flights where there are any, else on pieces left out, else on the flights that were fitted."""
+    """On test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
+    flights that were fitted."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
@@ -229,7 +234,12 @@ def _validated(
     recipe = result.provenance.recipe
     kinematic = bool(arguments.kinematic_noise) if recipe is None else recipe.kinematic_noise
     hints = (
-        *hints_of_checks(prepared.report, effects=result.model.effects, kinematic_noise=kinematic),
+        *(
+            h
+            for report in (prepared.report, faults)
+            if report is not None
+            for h in hints_of_checks(report, effects=result.model.effects, kinematic_noise=kinematic)
+        ),
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
