@@ -215,7 +215,7 @@ def _conclude(
     useful = float(seconds[ends - 1]) if ends else 0.0
     groups = tuple(_skill(c, seconds, at) for c in compared)
     idle = [c for kind in KINDS for c in _no_better([c for c in counted if c.name in kind], slice(first, at + 1), rule)]
-    wrecked = [c for c in counted if not c.model[at] <= rule.wrecked * c.last[at]]
+    wrecked = [c for c in counted if c.model[at] > rule.wrecked * c.last[at]]  # NaN: nothing to compare
     reason = action = anchor = ""
     if ends <= first or wrecked or any(not c.calm for c in idle):
         outcome = Outcome.NOT_USABLE
@@ -225,7 +225,7 @@ def _conclude(
             worst = max(wrecked, key=lambda c: float(c.model[at] / c.last[at]))
         else:
             worst = next(c for c in idle if not c.calm)
-        if not np.isfinite(worst.model[: at + 1]).all():
+        if np.isinf(worst.model[: at + 1]).any():
             hints.append(Hint(symptom=Symptom.DIVERGED))
         lost = ends <= first or bool(wrecked)
         reason, action, anchor = likely(hints, symptom_of_group(worst.name) if lost else Symptom.NO_BETTER)
