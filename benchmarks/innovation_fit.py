@@ -112,6 +112,7 @@ def held_predictor() -> Any:
     """The innovation form whose gain and covariance stay those of the start values."""
     from greybox.estimation.gain import Riccati
     from greybox.estimation.predictors.innovation import Innovation, StationaryGain
+    from greybox.estimation.settling import RecordGains, held
 
     class GainHeld(StationaryGain[Riccati]):
         name = "innovation"
@@ -119,8 +120,8 @@ def held_predictor() -> Any:
         def prepare(self, problem: Any) -> Riccati:
             return Innovation().riccati(problem, problem.start, False)
 
-        def riccati(self, problem: Any, theta: Any, slopes: bool) -> Riccati:
-            return problem.prepared(self)
+        def gains(self, problem: Any, theta: Any, slopes: bool) -> list[RecordGains]:
+            return [held(problem.prepared(self), r) for r in problem.records]
 
     return GainHeld()
 

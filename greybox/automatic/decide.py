@@ -37,18 +37,28 @@ FIRST_PART = 0.65
 """Share of a flight that sets are fitted to; the rest is foretold."""
 ENOUGH_SECONDS = 150.0
 """Flight time from which more only costs time when sets are compared."""
+ENOUGH_EACH = 15.0
+"""Seconds of one flight that are enough: rather more flights than longer ones."""
 SHORTEST = 6.0
 """Flights shorter than this [s] are too short to leave a part out."""
 FELT = 3.0
-"""Standard errors from which one of a step's parameters counts as felt."""
+"""Standard errors from which a parameter counts as felt."""
 CLEAR = 0.01
 """Probability below which flights count as different in their thrust scale (chi-square test)."""
 NOTICEABLE = 0.005
 """... and the spread between them that matters: half a percent of thrust."""
 ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
-QUICK = LevenbergMarquardt(tolerance=0.05, max_iterations=25)
-"""Solver of the comparison: ends within a third of a standard error of the optimum."""
+QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
+"""Solver of the comparison: ends within about half a standard error of the optimum."""
+WORTH = 0.05
+"""Share of its squared error by which a larger set must improve a smaller one: less is worth
+nothing."""
+POOR = 0.1
+"""Share of the last value's squared error (a third of the error) above which the likelihood
+foretells poorly, so that errors further ahead are tried for every set."""
+DIGITS = 3
+"""Significant digits of the values that the final fit starts from: a start need not be exact."""
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
 """Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
 THRUST = "thrust.c2"
@@ -69,27 +79,53 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A set of effects fitted to the first parts of the flights, and how it foretells the rest."""
+    """A set of effects fitted to the first parts of the flights, and how it foretells the rest: by
+    the one-step `likelihood` and, where that was tried, by errors further `ahead`."""
 
     steps: tuple[Step, ...]
-    fit: Fit
-    score: Score
+    likelihood: Fit
+    likelihood_score: Score
+    ahead: Fit | None = None
+    ahead_score: Score | None = None
 
     @property
     def name(self) -> str:
         """That of the last step."""
         return self.steps[-1].name
 
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether errors further ahead foretell better, by more than their standard error."""
+        if self.ahead_score is None:
+            return False
+        gain, error = self.ahead_score.better_by(self.likelihood_score)
+        return gain > error
+
+    @property
+    def fit(self) -> Fit:
+        """The fit that foretells better."""
+        return self.ahead if self.ahead is not None and self.looks_ahead else self.likelihood
+
+    @property
+    def score(self) -> Score:
+        """Its score."""
+        better = self.ahead_score is not None and self.looks_ahead
+        return (
+            self.ahead_score if better and self.ahead_score is not None else self.likelihood_score
+        )
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decided:
-    """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
-    flights and `left_out` the rest of them (both None where every flight is too short)."""
+    """The recipe and how it came about. `candidate` is the recipe fitted to the `first_parts` of
+    the flights and `left_out` the rest of them (all None where every flight is too short)."""
 
     recipe: Recipe
     decisions: tuple[Decision, ...]
     candidate: Candidate | None
+    first_parts: Dataset | None
     left_out: Dataset | None
+    given: Given = field(default_factory=Given)
 
 
 def decide(
@@ -113,17 +149,25 @@ class _Decider:
     kinematic_noise: bool = False
 
     def run(self) -> Decided:
+        said = FitOptions.of(None, self.given.choices)
+        for member in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
+            member()  # a name that there is not is said before anything takes time
         self._kinematics()
-        options = self._held(self._noise(self._disturbance(FitOptions.of(None, self.given.choices))))
+        options = self._held(self._noise(self._disturbance(said)))
         parts = self._parts()
         if self.given.effects is not None:
-            steps: tuple[Step, ...] = (Step(name="the effects asked for", effects=self.given.effects),)
+            steps: tuple[Step, ...] = (
+                Step(name="the effects asked for", effects=self.given.effects),
+            )
         else:
-            steps = nested_sets(self.vehicle, self.facts)
+            steps = nested_sets(self.vehicle, self.facts, input=self.given.input)
         if parts is None:
             self._note(
-                "effects", _listed(steps[:1]), f"every flight is shorter than {SHORTEST:g} s: "
-                "no piece can be left out to compare larger sets", "--effects",
+                "effects",
+                _listed(steps[:1]),
+                f"every flight is shorter than {SHORTEST:g} s: "
+                "no piece can be left out to compare larger sets",
+                "--effects",
             )
             return self._decided(steps[:1], options, None, None)
         chosen = self._smallest_good(steps, options, parts)
@@ -131,18 +175,28 @@ class _Decider:
             return self._decided(steps[:1], options, None, None)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
-        return self._decided(chosen.steps, options, chosen, parts[1])
+        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts)
 
     def _decided(
-        self, steps: tuple[Step, ...], options: FitOptions, candidate: Candidate | None, rest: Dataset | None
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        candidate: Candidate | None,
+        parts: tuple[Dataset, Dataset] | None,
     ) -> Decided:
         recipe = Recipe(
-            effects=_effects(steps), input=self.given.input, kinematic_noise=self.kinematic_noise,
+            effects=_effects(steps),
+            input=self.given.input,
+            kinematic_noise=self.kinematic_noise,
             options=self._with_flight_values(options, steps),
         )
         return Decided(
-            recipe=replace(recipe, adapt=self._adapt(recipe)), decisions=tuple(self.decisions),
-            candidate=candidate, left_out=rest,
+            recipe=replace(recipe, adapt=self._adapt(recipe)),
+            decisions=tuple(self.decisions),
+            given=self.given,
+            candidate=candidate,
+            first_parts=parts[0] if parts else None,
+            left_out=parts[1] if parts else None,
         )
 
     def _note(self, about: str, choice: str, reason: str, option: str) -> None:
@@ -157,7 +211,8 @@ class _Decider:
         elif "attitude" in self.facts.sensors:
             self.kinematic_noise = self.facts.wander > WANDER
             self._note(
-                "noise on the attitude kinematics", "yes" if self.kinematic_noise else "no",
+                "noise on the attitude kinematics",
+                "yes" if self.kinematic_noise else "no",
                 f"gyro and attitude drift apart by {self.facts.wander:.1f} samples within a flight",
                 "--kinematic-noise",
             )
@@ -168,7 +223,8 @@ class _Decider:
         felt = bool(self.facts.sensors & {"position", "velocity", "accelerometer"})
         groups = ("force", "torque") if felt else ("torque",)
         self._note(
-            "disturbance states", ", ".join(groups),
+            "disturbance states",
+            ", ".join(groups),
             "gusts and what is not modelled push for a while; no parameter shall explain them",
             "--disturbance",
         )
@@ -185,44 +241,83 @@ class _Decider:
         if not levels:
             return options
         self._note(
-            "sensor noise", "starts from the fastest part of each channel and is estimated",
-            "the vehicle file states none; third differences of the channels", "--noise",
+            "sensor noise",
+            "starts from the fastest part of each channel and is estimated",
+            "the vehicle file states none; third differences of the channels",
+            "--noise",
         )
         return options.but(noise=levels)
 
     def _held(self, options: FitOptions) -> FitOptions:
-        """Of two numbers of which the flights show the ratio alone, the one that is known better."""
-        if "fixed" in self.given.choices or "free" in self.given.choices:
+        """Of two numbers of which the flights show the ratio alone, the one that is known
+        better."""
+        said = self.given.choices
+        if "free" in said or ("fixed" in said and not options.fixed):  # said: nothing is held
             return options
+        named = set(said.get("per_flight", ()))
         declared = {d.name: d for d in core_parameters(self.vehicle)}
         held = []
         for pair in RATIOS:
             both = [declared[n] for n in pair[:2]]
             if not all(0 < d.sigma < np.inf and d.nominal for d in both):
                 continue
-            better, worse = sorted(both, key=lambda d: d.sigma / abs(d.nominal))
+            if set(pair[:2]) & set(said.get("fixed", ())):
+                continue
+            better, worse = sorted(both, key=lambda d: (d.name in named, d.sigma / abs(d.nominal)))
             held.append(better.name)
             self._note(
-                better.name, f"held at {better.nominal:.4g} {better.unit}",
+                better.name,
+                f"held at {better.nominal:.4g} {better.unit}",
                 f"{pair[2]} shows only its ratio to {worse.name}, which is known less well; its own "
                 f"{100 * better.sigma / abs(better.nominal):.2g} % are carried into the errors",
                 "--fixed, --considered",
             )
-        return options.but(fixed=tuple(held), considered=tuple(held))
+        options = options.but(fixed=(*options.fixed, *held))
+        return options if "considered" in said else options.but(considered=tuple(held))
 
     def _adapt(self, recipe: Recipe) -> float | None:
         if self.given.adapt is not None:
             return self.given.adapt
         model = self._model(recipe.effects)
-        own = {d.name for d in model.parameters if d.scope == "flight"} | set(recipe.options.per_flight)
+        own = {d.name for d in model.parameters if d.scope == "flight"} | set(
+            recipe.options.per_flight
+        )
         own -= set(recipe.options.shared) | set(recipe.options.fixed)
         if not own:
             return None
         self._note(
-            "a new flight", f"adapts on its first {ADAPT:g} s",
-            f"{len(own)} parameters have one value per flight", "--adapt",
+            "a new flight",
+            f"adapts on its first {ADAPT:g} s",
+            f"{len(own)} parameters have one value per flight",
+            "--adapt",
         )
         return ADAPT
+
+    def _started(self, options: FitOptions, chosen: Candidate) -> FitOptions:
+        """The final fit starts where the comparison ended; what ended at its null is held there."""
+        said = self.given.choices
+        if "initialisation" in said or "values" in said:
+            return options
+        declared = {d.name: d for d in chosen.fit.model.dynamics.parameters}
+        gone = [
+            n
+            for n, e in chosen.fit.parameters.items()
+            if e.at_bound and e.value == declared[n].null
+        ]
+        if gone and "free" not in said:
+            self._note(
+                ", ".join(gone),
+                "held at nothing",
+                "where the comparison ended, at the bound",
+                "--fixed",
+            )
+            options = options.but(fixed=(*options.fixed, *gone))
+        start = {n: _rounded(e.value) for n, e in chosen.fit.parameters.items()}
+        if "noise" not in said:
+            options = options.but(
+                noise={n: _rounded(v) for n, v in noise_of(chosen.fit.model).items()}
+            )
+        return options.but(values=start, initialisation="nominal")
 
     # ------------------------------------------------------------ comparing on pieces left out
 
@@ -231,15 +326,19 @@ class _Decider:
         long = [f for f in self.data if f.duration >= SHORTEST]
         if not long:
             return None
-        every = max(1, int(np.ceil(sum(f.duration for f in long) / ENOUGH_SECONDS)))
-        some = long[::every]
+        count = min(len(long), int(ENOUGH_SECONDS / ENOUGH_EACH))
+        some = [long[i] for i in np.linspace(0, len(long) - 1, count).round().astype(int)]
         cut = tuple(_first_seconds(f, ENOUGH_SECONDS / len(some)) for f in some)
         return Dataset(flights=cut).split_by_time(FIRST_PART)
 
     def _model(self, effects: tuple[str | Effect, ...]) -> PhysicsModel:
         return build_model(
-            self.vehicle, self.data.channels, effects, input=self.given.input,
-            sample_time=sample_time(self.data), noncausal=self.data.noncausal,
+            self.vehicle,
+            self.data.channels,
+            effects,
+            input=self.given.input,
+            sample_time=sample_time(self.data),
+            noncausal=self.data.noncausal,
             kinematic_noise=self.kinematic_noise,
         )
 
@@ -250,57 +349,80 @@ class _Decider:
         return options.but(per_flight=tuple(dict.fromkeys((*options.per_flight, *own))))
 
     def _try(
-        self, steps: tuple[Step, ...], options: FitOptions, before: Candidate | None,
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        before: Candidate | None,
         parts: tuple[Dataset, Dataset],
+        *,
+        look_ahead: bool = False,
     ) -> Candidate | None:
-        """`steps` fitted and judged, from where `before` ended; None where that is not possible."""
+        """`steps` fitted and judged, from where `before` ended; None where that is not possible.
+
+        Errors further ahead are tried where the likelihood foretells poorly, or on `look_ahead`.
+        """
         options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
-        if before is not None:
+        options = options.but(predictor="innovation")
+        if before is None:
+            options = options.but(initialisation="equation-error")
+        else:
             dropped = set(_names(before.steps)) - set(_names(steps))
-            start = {n: e.value for n, e in before.fit.parameters.items() if n.split(".")[0] not in dropped}
-            options = options.but(
-                values={**start, **options.values}, noise=noise_of(before.fit.model),
-                initialisation="nominal",
-            )
+            options = _from(before.fit, before.likelihood, options, dropped)
         try:
-            found = fit(self._model(_effects(steps)), parts[0], options)
-            return Candidate(steps=steps, fit=found, score=foretell(found.model, parts[1]))
+            model = self._model(_effects(steps))
+            plain = fit(model, parts[0], options)
+            judged = foretell(plain.model, parts[1])
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}: {error}")
             return None
+        found = Candidate(steps=steps, likelihood=plain, likelihood_score=judged)
+        if "predictor" in self.given.choices or not (look_ahead or judged.mean > POOR):
+            return found
+        try:
+            many = fit(
+                model, parts[0], _from(plain, plain, options, set()).but(predictor="multi-step")
+            )
+            return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
+        except GreyboxError as error:
+            self.say(f"  {steps[-1].name}, errors ahead: {error}")
+            return found
 
     def _smallest_good(
         self, steps: tuple[Step, ...], options: FitOptions, parts: tuple[Dataset, Dataset]
     ) -> Candidate | None:
-        quick = options if "predictor" not in self.given.choices else options.but(
-            predictor="innovation", initialisation="equation-error"
-        )
         tried: list[Candidate] = []
         for i in range(1, len(steps) + 1):
-            got = self._try(steps[:i], quick, tried[-1] if tried else None, parts)
+            got = self._try(steps[:i], options, tried[-1] if tried else None, parts)
             if got is not None:
                 tried.append(got)
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
         if not tried:
             return None
         best = min(tried, key=lambda c: c.score.mean)
-        chosen = next(c for c in tried if np.less_equal(*best.score.better_by(c.score)))
+        chosen = next((c for c in tried if _as_good(c, best)), best)
         kept = _felt_steps(chosen)
         if kept != chosen.steps:
-            chosen = self._try(kept, quick, chosen, parts) or chosen
+            less = self._try(kept, options, chosen, parts)
+            if less is not None and _as_good(less, best):
+                chosen = less
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
         if self.given.effects is None:
             self._note(
-                "effects", _listed(chosen.steps), "the smallest set within one standard error of the "
+                "effects",
+                _listed(chosen.steps),
+                "the smallest set within one standard error of the "
                 "best on pieces left out; squared error ahead over that of holding the last value, "
-                f"step by step: {listed}", "--effects, --per-flight",
+                f"step by step: {listed}",
+                "--effects, --per-flight",
             )
         return chosen
 
     def _thrust_per_flight(
         self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
     ) -> tuple[FitOptions, Candidate]:
-        open_question = "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        open_question = (
+            "per_flight" not in self.given.choices and "shared" not in self.given.choices
+        )
         if not open_question or len(parts[0]) < 2 or THRUST not in chosen.fit.parameters:
             return options, chosen
         again = self._try(chosen.steps, options.but(per_flight=(THRUST,)), chosen, parts)
@@ -311,8 +433,10 @@ class _Decider:
         gain, error = again.score.better_by(chosen.score)
         differ = chance < CLEAR and spread > NOTICEABLE and gain > -error
         self._note(
-            "thrust scale", "one value per flight" if differ else "one value for all flights",
-            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})", "--per-flight, --shared",
+            "thrust scale",
+            "one value per flight" if differ else "one value for all flights",
+            f"single flights differ by {100 * spread:.1f} % (p = {chance:.2g})",
+            "--per-flight, --shared",
         )
         return (options.but(per_flight=(THRUST,)), again) if differ else (options, chosen)
 
@@ -321,24 +445,46 @@ class _Decider:
     ) -> tuple[FitOptions, Candidate]:
         """Multi-step errors in place of the likelihood where that foretells better by its error."""
         if "predictor" in self.given.choices:
-            return options, self._try(chosen.steps, options, chosen, parts) or chosen
-        ahead = self._try(chosen.steps, options.but(predictor="multi-step"), chosen, parts)
-        if ahead is None:
             return options, chosen
-        gain, error = ahead.score.better_by(chosen.score)
-        better = gain > error
+        if chosen.ahead is None:
+            chosen = self._try(chosen.steps, options, chosen, parts, look_ahead=True) or chosen
+        if chosen.ahead_score is None:
+            return options, chosen
+        _, error = chosen.ahead_score.better_by(chosen.likelihood_score)
         self._note(
-            "criterion", "errors up to half a second ahead" if better else "likelihood one step ahead",
-            f"pieces left out: {ahead.score.mean:.3f} against {chosen.score.mean:.3f}, the difference "
-            f"+- {error:.3f}", "--predictor",
+            "criterion",
+            "errors up to half a second ahead"
+            if chosen.looks_ahead
+            else "likelihood one step ahead",
+            f"pieces left out: {chosen.ahead_score.mean:.3f} ahead, {chosen.likelihood_score.mean:.3f} by "
+            f"the likelihood, the difference +- {error:.3f}",
+            "--predictor",
         )
-        if better:
-            return options.but(predictor="multi-step", initialisation="innovation"), ahead
-        return options, chosen
+        return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
+
+
+def _as_good(one: Candidate, best: Candidate) -> bool:
+    """Whether the best is better by less than its standard error, or by less than is worth
+    anything."""
+    gain, error = best.score.better_by(one.score)
+    return gain <= max(error, WORTH * one.score.mean)
+
+
+def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
+    """`options` from the estimates of one fit and the noise levels of another, less those of
+    effects that are `dropped`."""
+    values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
+    return options.but(
+        values={**values, **options.values}, noise=noise_of(noise.model), initialisation="nominal"
+    )
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
     return tuple(e for s in steps for e in s.effects)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
 
 
 def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
@@ -350,16 +496,27 @@ def _listed(steps: tuple[Step, ...]) -> str:
 
 
 def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
-    """The steps without those after the first whose every parameter is nothing within its error."""
-    kept = []
-    for step in candidate.steps:
-        names = _names((step,))
-        own = [e for n, e in candidate.fit.parameters.items() if n.split(".")[0] in names]
-        numbers = [v for e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
-        felt = any(not np.isfinite(std) or abs(value) > FELT * std for value, std in numbers)
-        if felt or step is candidate.steps[0]:
-            kept.append(step)
+    """The steps without those of their effects, after the first step, whose every parameter is
+    nothing within its error."""
+    first, *more = candidate.steps
+    kept = [first]
+    for step in more:
+        felt = tuple(
+            e for e in step.effects if _felt(e if isinstance(e, str) else e.name, candidate.fit)
+        )
+        if felt:
+            kept.append(replace(step, effects=felt))
     return tuple(kept)
+
+
+def _felt(effect: str, fitted: Fit) -> bool:
+    null = {d.name: d.null for d in fitted.model.dynamics.parameters}
+    own = [(n, e) for n, e in fitted.parameters.items() if n.split(".")[0] == effect]
+    numbers = [(null[n], *v) for n, e in own for v in (e.per_flight.values() or [(e.value, e.std)])]
+    # An estimate at a bound has no error: felt, unless that bound is its null.
+    return any(
+        v != zero and (not np.isfinite(std) or abs(v) > FELT * std) for zero, v, std in numbers
+    )
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
@@ -369,7 +526,9 @@ def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
     weights = errors**-2
     middle = float((weights * values).sum() / weights.sum())
     chi2 = float((weights * (values - middle) ** 2).sum())
-    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(values.std(ddof=1) / abs(middle))
+    return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(
+        values.std(ddof=1) / abs(middle)
+    )
 
 
 def _first_seconds(flight: Flight, seconds: float) -> Flight:

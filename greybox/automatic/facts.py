@@ -1,4 +1,5 @@
-"""What the flights show before anything is fitted: the facts that the automatic fit decides from."""
+"""What the flights show before anything is fitted: the facts that the automatic fit decides
+from."""
 
 from __future__ import annotations
 
@@ -27,12 +28,14 @@ PLENTY = 5.0
 class Facts:
     """Facts of a set of flights. `sensors` are those whose columns are all there (causal ones only)
     and `noise` the level of the fastest part of each of their innovation components, by sensor and
-    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a flight (0 where
-    the log has no attitude), `seconds` the time flown."""
+    component, in its unit. `wander` [samples] is how far gyro and attitude drift apart within a
+    flight, `apart` by how much they are apart in the middle or drift (both 0 where the log has no
+    attitude), `seconds` the time flown."""
 
     sensors: frozenset[str]
     noise: Mapping[tuple[str, str], float]
     wander: float
+    apart: float
     seconds: float
     flights: int
     rate: float
@@ -64,15 +67,14 @@ def facts_of(data: Dataset, vehicle: Vehicle, report: CheckReport) -> Facts:
         for component, level in zip(components, levels, strict=True):
             if np.isfinite(level) and level > 0:
                 noise[sensor.name, component] = level
-    offsets = [
-        f.evidence["high_samples"] - f.evidence["low_samples"]
-        for f in report.of("alignment")
-        if "high_samples" in f.evidence
-    ]
+    seen = [f.evidence for f in report.of("alignment") if "high_samples" in f.evidence]
+    wander = float(np.median([e["high_samples"] - e["low_samples"] for e in seen])) if seen else 0.0
+    middle = float(np.median([abs(e["offset_samples"]) for e in seen])) if seen else 0.0
     return Facts(
         sensors=frozenset(s.name for s in sensors),
         noise=noise,
-        wander=float(np.median(offsets)) if offsets else 0.0,
+        wander=wander,
+        apart=max(wander, middle),
         seconds=sum(f.duration for f in data),
         flights=len(data),
         rate=1.0 / data.flights[0].dt,
@@ -98,7 +100,8 @@ def _varies(data: Dataset, name: str) -> bool:
 
 def response_rate(flight: Flight) -> float:
     """Sample rate [Hz] that the response of a craft needs: ten times the frequency below which lie
-    95 % of the power of the body's angular acceleration as the gyro shows it, white noise left out."""
+    95 % of the power of the body's angular acceleration as the gyro shows it, white noise left
+    out."""
     segment = max(flight.segments, key=lambda s: s.n)
     names = [n for n in ("p", "q", "r") if n in segment.channels] or [
         n for n in ("ax", "ay", "az") if n in segment.channels
@@ -111,6 +114,9 @@ def response_rate(flight: Flight) -> float:
             continue
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(x.size))) ** 2
         power = np.maximum(power - np.median(power[power.size // 2 :]), 0.0)
-        share = np.cumsum(power[1:]) / max(power[1:].sum(), 1e-300)
-        bands.append(float(np.fft.rfftfreq(x.size, segment.dt)[1:][np.searchsorted(share, 0.95)]))
+        total = power[1:].sum()
+        if not total > 0:
+            continue  # an axis that never moves
+        at = min(int(np.searchsorted(np.cumsum(power[1:]) / total, 0.95)), power.size - 2)
+        bands.append(float(np.fft.rfftfreq(x.size, segment.dt)[1 + at]))
     return 10.0 * max(bands) if bands else 100.0

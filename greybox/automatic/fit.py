@@ -1,8 +1,8 @@
 """fit_automatically: a vehicle file and flights in, the best model that they carry out, and why.
 
-Samples that cannot be are taken out, flights are brought to one rate, those of another craft are left
-out; then `decide` chooses and the recipe is fitted as the explicit command would. A stage that fails
-falls back to less, and says so.
+Samples that cannot be are taken out, flights are brought to one rate, those of another craft are
+left out; then `decide` chooses and the recipe is fitted as the explicit command would. A stage that
+fails falls back to less, and says so.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from greybox.automatic.decide import Decided, Say
+import numpy as np
+
+from greybox.automatic.decide import QUICK, Decided, Given, Say
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
 from greybox.automatic.samples import Removed, without_impossible
 from greybox.automatic.sets import BASE
@@ -22,16 +24,28 @@ from greybox.errors import FitError
 from greybox.estimation.fit import Progress, fit
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.record import sample_time
-from greybox.estimation.result import Fit
+from greybox.estimation.result import Estimate, Fit
 from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle
+
+LEFT_TO_JUDGE = 3.0
+"""Times the seconds of adaptation that a test flight must last: two thirds of it judge."""
+
+
+def adaptation(recipe: Recipe, test: Dataset) -> float | None:
+    """Seconds at the start of `test` flights that a recipe's own time of adaptation takes; None
+    where a flight is too short for it, or nothing is to be adapted."""
+    if recipe.adapt is None or not test.flights:
+        return None
+    return recipe.adapt if min(f.duration for f in test) >= LEFT_TO_JUDGE * recipe.adapt else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were resampled
-    to, None: their own; `names` are those of all flights that were given, in order."""
+    """Flights as they are fitted, and what was done to them. `rate` [Hz] is what they were
+    resampled to, None: their own; `names` are those of all flights that were given, in order."""
 
     data: Dataset
     report: CheckReport
@@ -85,8 +99,8 @@ def prepare(
     all_flights: bool = False,
     decide_rate: bool = True,
 ) -> Prepared:
-    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs' own
-    where it is not to be decided).
+    """Clean, choose and resample. `rate` [Hz] is what the user asked for (None: open, or the logs'
+    own where it is not to be decided).
 
     Raises `DataError` for logs that are no flights.
     """
@@ -107,27 +121,43 @@ def prepare(
     if wanted is not None and (decide_rate or isinstance(logs, Dataset)):
         chosen = [r for r in raws if r.flight in kept.names]
         kept = read_flights(chosen, vehicle, rate=wanted, trim=trim)
-    return Prepared(data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names)
+        report = check(kept, vehicle)  # offsets in samples are those of this rate
+    return Prepared(
+        data=kept, report=report, removed=removed, left_out=left_out, rate=wanted, names=data.names
+    )
 
 
-def fit_recipe(vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None) -> Fit:
+def fit_recipe(
+    vehicle: Vehicle, data: Dataset, recipe: Recipe, progress: Progress | None = None
+) -> Fit:
     """The explicit fit that a recipe describes, to flights that have its rate already."""
     model = build_model(
-        vehicle, data.channels, recipe.effects, input=recipe.input, sample_time=sample_time(data),
-        noncausal=data.noncausal, kinematic_noise=recipe.kinematic_noise,
+        vehicle,
+        data.channels,
+        recipe.effects,
+        input=recipe.input,
+        sample_time=sample_time(data),
+        noncausal=data.noncausal,
+        kinematic_noise=recipe.kinematic_noise,
     )
     return fit(model, data, recipe.options, progress=progress)
 
 
 def fit_decided(
-    vehicle: Vehicle, prepared: Prepared, decided: Decided, *, say: Say = lambda text: None,
+    vehicle: Vehicle,
+    prepared: Prepared,
+    decided: Decided,
+    *,
+    say: Say = lambda text: None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls back
-    to the likelihood, then to the base set. Every step down is a decision with its reason.
+    """Fit the recipe to all flights. An effect that runs to a bound goes; a fit that fails falls
+    back to the likelihood, then to the base set; what the user said stays. Every step down is a
+    decision with its reason.
 
     Raises `FitError` where nothing can be fitted.
     """
+    said = decided.given
     decisions = [*prepared.decisions(), *decided.decisions]
     recipe: Recipe = replace(decided.recipe, rate=prepared.rate)
 
@@ -136,7 +166,7 @@ def fit_decided(
         say(f"  {what}: {reason}")
 
     while True:
-        less = _less(recipe)
+        less = _less(recipe, said)
         try:
             found = fit_recipe(vehicle, prepared.data, recipe, progress)
         except FitError as error:
@@ -145,9 +175,22 @@ def fit_decided(
             step_down(less[1], str(error))
             recipe = less[0]
             continue
-        bent = [n for n, e in found.parameters.items() if e.at_bound]
-        gone = [e for e in recipe.effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
+        bent = [n for n, e in found.parameters.items() if _at_bound(e)]
+        null = {d.name: d.null for d in found.model.dynamics.parameters}
+        absent = tuple(n for n in bent if found.parameters[n].value == null[n])
+        if absent:
+            step_down(
+                f"{', '.join(absent)} held at nothing", "where the search ended, at the bound"
+            )
+            options = recipe.options
+            values = {**options.values, **{n: found.parameters[n].value for n in absent}}
+            options = options.but(fixed=(*options.fixed, *absent), values=values)
+            recipe = replace(recipe, options=options)
+            continue
+        open_effects = recipe.effects if said.effects is None else ()
+        gone = [e for e in open_effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
         if gone:
+            bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
             step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
             recipe = _without(recipe, gone)
             continue
@@ -156,6 +199,31 @@ def fit_decided(
             recipe = less[0]
             continue
         return found.with_history(recipe, tuple(decisions))
+
+
+def judged_on_pieces(
+    vehicle: Vehicle, decided: Decided, found: Fit
+) -> tuple[IdentifiedModel, Dataset] | None:
+    """(the recipe of `found` fitted to the first parts of the flights, the pieces left out), for
+    its verdict; None where no piece was left out or the fit did not arrive."""
+    recipe = found.provenance.recipe
+    if decided.candidate is None or decided.first_parts is None or decided.left_out is None:
+        return None
+    if recipe is None or not found.converged:
+        return None
+    if replace(recipe, rate=None) == replace(decided.recipe, rate=None):
+        return decided.candidate.fit.model, decided.left_out
+    options = recipe.options.but(solver=QUICK, considered=())
+    again = fit_recipe(vehicle, decided.first_parts, replace(recipe, options=options))
+    return again.model, decided.left_out
+
+
+def _at_bound(estimate: Estimate) -> bool:
+    """Whether a parameter is at its bound, in most flights where each has its own."""
+    if not estimate.per_flight:
+        return estimate.at_bound
+    held = sum(not np.isfinite(std) for _, std in estimate.per_flight.values())
+    return 2 * held > len(estimate.per_flight)
 
 
 def _name(effect: str | Effect) -> str:
@@ -173,15 +241,23 @@ def _without(recipe: Recipe, effects: Sequence[str | Effect]) -> Recipe:
             per_flight=tuple(n for n in options.per_flight if n.split(".")[0] not in names),
             fixed=tuple(n for n in options.fixed if n.split(".")[0] not in names),
             shared=tuple(n for n in options.shared if n.split(".")[0] not in names),
+            values={n: v for n, v in options.values.items() if n.split(".")[0] not in names},
+            considered=tuple(n for n in options.considered if n.split(".")[0] not in names),
+            free=None
+            if options.free is None
+            else [n for n in options.free if n.split(".")[0] not in names],
         ),
     )
 
 
-def _less(recipe: Recipe) -> tuple[Recipe, str] | None:
-    """The next smaller recipe and what it is called; None below the base set."""
+def _less(recipe: Recipe, said: Given) -> tuple[Recipe, str] | None:
+    """The next smaller recipe and what it is called; None below the base set and below what was
+    said."""
     options = recipe.options
-    if options.predictor != "innovation":
+    if options.predictor != "innovation" and "predictor" not in said.choices:
         plain = options.but(predictor="innovation", initialisation="equation-error")
         return replace(recipe, options=plain), "likelihood one step ahead"
+    if said.effects is not None:
+        return None
     more = [e for e in recipe.effects if _name(e) not in BASE.effects]
     return (_without(recipe, more), "rotors and sensors alone") if more else None

@@ -18,11 +18,11 @@ from greybox.data.raw import RawLog
 from greybox.model.vehicle import Vehicle
 
 ANOTHER = 1.4
-"""Factor of the median thrust at the same command from which a flight counts as another craft's: more
-than a full battery against an empty one (1.3) and a payload that a small craft carries."""
+"""Factor of the median thrust at the same command from which a flight counts as another craft's:
+more than a full battery against an empty one (1.3) and a payload that a small craft carries."""
 LEAST_RATE, MOST_RATE = 100.0, 250.0
-"""Rates [Hz] between which a fit is made: rotors answer within 20 to 80 ms, and nothing of a body this
-size moves faster than 25 Hz."""
+"""Rates [Hz] between which a fit is made: rotors answer within 20 to 80 ms, and nothing of a body
+this size moves faster than 25 Hz."""
 WORTH = 1.25
 """Times the rate that is needed from which averaging down is worth it."""
 
@@ -40,7 +40,8 @@ class LeftOut:
 
 
 def needed_rate(data: Dataset) -> float | None:
-    """Rate [Hz] to bring the flights to; None: they have one already, and it is no more than needed."""
+    """Rate [Hz] to bring the flights to; None: they have one already, and it is no more than
+    needed."""
     own = np.array([1.0 / f.dt for f in data])
     needed = float(np.clip(max(response_rate(f) for f in data), LEAST_RATE, MOST_RATE))
     needed = next(r for r in (100.0, 125.0, 200.0, 250.0) if r >= needed - 1e-9)
@@ -69,7 +70,9 @@ def raw_log(flight: Flight) -> RawLog:
     )
 
 
-def sound_flights(data: Dataset, vehicle: Vehicle, report: CheckReport) -> tuple[Dataset, tuple[LeftOut, ...]]:
+def sound_flights(
+    data: Dataset, vehicle: Vehicle, report: CheckReport
+) -> tuple[Dataset, tuple[LeftOut, ...]]:
     """The flights that take part, and those that do not; all take part where none would be left."""
     out: dict[str, str] = {}
     for finding in report.blocking:

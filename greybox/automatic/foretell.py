@@ -1,4 +1,5 @@
-"""How well a model foretells pieces of the training flights that were left out, in one number with a standard error.
+"""How well a model foretells pieces of the training flights that were left out, in one number with
+a standard error.
 
 The score of a block of origins is the mean, over channel groups and horizons, of the squared error
 ahead in units of the mean squared error of holding the last value: below one is better than doing
@@ -35,25 +36,30 @@ WORST = 100.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Score:
-    """`blocks` (n,): score of every block, in the same order for all models on the same pieces."""
+    """`blocks` (n,): score of every block, in the same order for all models on the same pieces; NaN
+    where a block has nothing to be compared with."""
 
     blocks: FloatArray
 
     @property
     def mean(self) -> float:
         """Mean over the blocks; 1 = holding the last value."""
-        return float(self.blocks.mean()) if self.blocks.size else float("inf")
+        known = self.blocks[np.isfinite(self.blocks)]
+        return float(known.mean()) if known.size else float("inf")
 
     def better_by(self, other: Score) -> tuple[float, float]:
-        """(how much lower this score is than `other`, standard error of that), from paired blocks."""
+        """(how much lower this score is than `other`, standard error of that), from paired
+        blocks."""
         gain = other.blocks - self.blocks
+        gain = gain[np.isfinite(gain)]
         if gain.size < 2:
             return float(gain.sum()), float("inf")
         return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(gain.size))
 
 
 def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = True) -> Score:
-    """Score of `model` on `pieces`, each with the parameters of its flight where the model has them.
+    """Score of `model` on `pieces`, each with the parameters of its flight where the model has
+    them.
 
     Raises `DataError`, `FitError` where the model cannot run on them.
     """
@@ -75,7 +81,9 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
                 continue
             run = runner.run(segment.without(flight.noncausal), p=model.flight_vector(flight.name))
             references = {
-                g: segment.matrix(GROUPS[g].columns) for g in groups if set(GROUPS[g].columns) <= set(segment.names)
+                g: segment.matrix(GROUPS[g].columns)
+                for g in groups
+                if set(GROUPS[g].columns) <= set(segment.names)
             }
             ahead = predict_from(runner.engine, reader, run, origins, steps=longest)
             last = persistence(references, origins, steps=longest)
@@ -92,14 +100,25 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
                     rows[1, :, j, k] = error_norms(g, last[g][:, h - 1], truth) ** 2
             own.append(rows[0])
             held.append(rows[1])
-            block = ((origins - origins[0]) * dt // BLOCK).astype(int)
+            time = (origins - origins[0]) * dt
+            last_block = max(
+                0, round(float(time[-1]) / BLOCK) - 1
+            )  # a short rest joins the block before
+            block = np.minimum((time // BLOCK).astype(int), last_block)
             labels.append(count + block)
             count += int(block[-1]) + 1
     if not own:
         return Score(blocks=np.zeros(0))
-    error, scale, label = np.concatenate(own), np.nanmean(np.concatenate(held), axis=0), np.concatenate(labels)
+    error, scale, label = (
+        np.concatenate(own),
+        np.nanmean(np.concatenate(held), axis=0),
+        np.concatenate(labels),
+    )
     shares = np.minimum(error / np.maximum(scale, 1e-300), WORST)
-    return Score(blocks=np.array([np.nanmean(shares[label == b]) for b in range(count)]))
+    blocks = [shares[label == b] for b in range(count)]
+    return Score(
+        blocks=np.array([np.nanmean(b) if np.isfinite(b).any() else np.nan for b in blocks])
+    )
 
 
 def _safe(predicted: FloatArray, like: FloatArray) -> FloatArray:

@@ -7,16 +7,17 @@ from typing import Unpack
 
 from greybox.automatic.decide import Given, Say, decide
 from greybox.automatic.facts import facts_of
-from greybox.automatic.fit import fit_decided, prepare
+from greybox.automatic.fit import adaptation, fit_decided, judged_on_pieces, prepare
 from greybox.data import Dataset
-from greybox.errors import DataError
+from greybox.errors import DataError, GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
 from greybox.estimation.options import FitChoices, FitOptions, says_choices
+from greybox.estimation.record import sample_time
 from greybox.estimation.result import Fit
 from greybox.estimation.solver import Progress
 from greybox.model.dynamics import Dynamics
 from greybox.model.vehicle import Vehicle
-from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
+from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
 from greybox.validation.sanity import sanity_of
 from greybox.validation.usefulness import LEFT_OUT
 from greybox.validation.validate import validate
@@ -40,14 +41,14 @@ def fit(
     """Fit a vehicle or a model to flights.
 
     A `Vehicle`: everything that no keyword says is decided from the flights (as plain `greybox fit`
-    does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets a
-    line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options` and the
-    keywords describe, nothing is decided.
+    does), and the result is judged on `test`, or on pieces of `data` that were left out. `say` gets
+    a line per decision. A model (`build_model`, `StateSpaceModel`): exactly the fit that `options`
+    and the keywords describe, nothing is decided.
 
-    The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion, solver,
-    initialisation, disturbance, free, fixed, considered, per_flight, shared, values, priors,
-    flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build, use_compiler. Raises what
-    `greybox.estimation.fit.fit` raises.
+    The choices are keywords, fields of `FitOptions` with its defaults: predictor, criterion,
+    solver, initialisation, disturbance, free, fixed, considered, per_flight, shared, values,
+    priors, flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build,
+    use_compiler. Raises what `greybox.estimation.fit.fit` raises.
     """
     if isinstance(subject, Vehicle):
         said: FitChoices = choices if options is None else {**_said(options), **choices}
@@ -77,19 +78,33 @@ def _automatic(
     found = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
     recipe = found.provenance.recipe
     assert recipe is not None
-    hints = (
+    hints: tuple[Hint, ...] = (
         *hints_of_checks(
             prepared.report, effects=found.model.effects, kinematic_noise=recipe.kinematic_noise
         ),
         *hints_of_sanity(sanity_of(found)),
         *hints_of_fit(found),
     )
-    if test is not None and len(test):
-        held_out = prepare(vehicle, test, rate=prepared.rate, all_flights=True, decide_rate=False)
-        seen = validate(found.model, held_out.data, adapt=recipe.adapt, hints=hints)
-    elif decided.candidate is not None and decided.left_out is not None:
-        model = decided.candidate.fit.model
-        seen = validate(model, decided.left_out, hints=hints, judged_on=LEFT_OUT)
-    else:
-        seen = validate(found.model, prepared.data, hints=hints)
+    try:
+        pieces = judged_on_pieces(vehicle, decided, found)
+        if test is not None and len(test):
+            dt = sample_time(prepared.data)
+            rate = prepared.rate if all(abs(f.dt - dt) <= 1e-6 * dt for f in test) else 1 / dt
+            tested = prepare(vehicle, test, rate=rate, all_flights=True, decide_rate=False)
+            for fault in tested.report.blocking:
+                say(f"data fault in {fault.flight}: {fault.message}")
+            hints += hints_of_checks(
+                tested.report,
+                effects=found.model.effects,
+                kinematic_noise=recipe.kinematic_noise,
+            )
+            held_out = tested.data
+            seen = validate(found.model, held_out, adapt=adaptation(recipe, held_out), hints=hints)
+        elif pieces is not None:
+            seen = validate(pieces[0], pieces[1], hints=hints, judged_on=LEFT_OUT)
+        else:
+            seen = validate(found.model, prepared.data, hints=hints)
+    except GreyboxError as error:  # the fit is not lost: it was not judged, and says so
+        say(f"not judged: {error}")
+        return found
     return found.judged(seen.verdict)

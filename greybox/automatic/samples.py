@@ -8,15 +8,23 @@ rotors' torque can turn).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data.channel import channel
 from greybox.data.raw import RawLog
+from greybox.data.resampling import continuous_signs
 from greybox.model.vehicle import Vehicle
 from greybox.symbolic import BoolArray, FloatArray
+
+IntArray = npt.NDArray[np.int64]
+Explained = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""(times, gaps to the sample before, to the one after), (n,) [s] each -> how far motion goes, (n,)."""
+PLACE, SPEED, TURN = ("x", "y", "z"), ("vx", "vy", "vz"), ("p", "q", "r")
+ATTITUDE = ("qw", "qx", "qy", "qz")
 
 OVERSPEED = 1.3
 """Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this much."""
@@ -83,8 +91,14 @@ def without_impossible(raw: RawLog, vehicle: Vehicle) -> tuple[RawLog, tuple[Rem
                 limit = OVERSPEED * top
                 reason = f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s"
                 drop((name,), ~outside & (values > limit), values, reason)
-    for names, explained in _explained(raw, vehicle).items():
-        bad, size = _alone(np.column_stack([new.get(n, raw.channels[n]) for n in names]), explained)
+    for names, limit_of in _explained(raw, vehicle).items():
+        block = np.column_stack([new.get(n, raw.channels[n]) for n in names])
+        rows = _measured(raw.t, block)
+        known = block[rows]
+        if names == ATTITUDE:
+            known, _ = continuous_signs(known)  # q and -q are the same attitude
+        bad, size = np.zeros(raw.n, dtype=bool), np.zeros(raw.n)
+        bad[rows], size[rows] = _alone(raw.t[rows], known, limit_of)
         drop(names, bad, size, "one sample that no motion of the craft explains")
     if not removed:
         return raw, ()
@@ -92,47 +106,61 @@ def without_impossible(raw: RawLog, vehicle: Vehicle) -> tuple[RawLog, tuple[Rem
     return replace(raw, channels={**raw.channels, **new}, notes=notes), tuple(removed)
 
 
-def _explained(raw: RawLog, vehicle: Vehicle) -> Mapping[tuple[str, ...], FloatArray]:
-    """Channel group -> how far a sample can lie from the middle of its neighbours, (n,)."""
-    out: dict[tuple[str, ...], FloatArray] = {}
-    n = raw.n
-    if n < 5:
-        return out
-    dt = float(np.median(np.diff(raw.t)))
+def _measured(t: FloatArray, block: FloatArray) -> IntArray:
+    """Rows with every value of a group, each later than those before: a slow channel has its own."""
+    rows = np.flatnonzero(np.isfinite(block).all(axis=1) & np.isfinite(t))
+    latest = np.maximum.accumulate(np.concatenate([[-np.inf], t[rows]]))[:-1]
+    later: IntArray = rows[t[rows] > latest]
+    return later
+
+
+def _explained(raw: RawLog, vehicle: Vehicle) -> Mapping[tuple[str, ...], Explained]:
+    """Channel group -> how far the craft can take a sample from the line between its neighbours."""
+    out: dict[tuple[str, ...], Explained] = {}
     have = set(raw.channels)
-    place, speed, turn = ("x", "y", "z"), ("vx", "vy", "vz"), ("p", "q", "r")
-    attitude = ("qw", "qx", "qy", "qz")
-    thrust = sum(max(c.value, 0.0) for c in vehicle.actuator.thrust) * len(vehicle.rotors)
+    actuator = vehicle.actuator
+    c0, c1, c2 = (c.value for c in actuator.thrust)
+    thrust = (c0 + actuator.u_max * (c1 + actuator.u_max * c2)) * len(vehicle.rotors)
     push = 2.0 * thrust / vehicle.mass.value + vehicle.gravity
-    if have.issuperset(place):
-        out[place] = np.full(n, 0.5 * push * dt**2)
-    if have.issuperset(speed):
-        out[speed] = np.full(n, push * dt)
     arm = max(float(np.hypot(r.position[0], r.position[1])) for r in vehicle.rotors)
     twist = arm * thrust / min(float(vehicle.inertia[i][i]) for i in range(3))
-    if have.issuperset(turn):
-        out[turn] = np.full(n, twist * dt)
-        if have.issuperset(attitude):
-            rate = np.linalg.norm(np.column_stack([raw.channels[c] for c in turn]), axis=1)
-            out[attitude] = 0.5 * (0.5 * np.nan_to_num(rate) * dt) ** 2 + 0.25 * twist * dt**2
+    # With the gaps a and b to the neighbours: a b / 2 times the second derivative, or
+    # 2 a b / (a + b) times the first where that may jump.
+    if have.issuperset(PLACE):
+        out[PLACE] = lambda t, a, b: 0.5 * push * a * b
+    if have.issuperset(SPEED):
+        out[SPEED] = lambda t, a, b: push * 2.0 * a * b / (a + b)
+    if have.issuperset(TURN):
+        out[TURN] = lambda t, a, b: twist * 2.0 * a * b / (a + b)
+        turning = np.column_stack([raw.channels[c] for c in TURN])
+        rows = _measured(raw.t, turning)
+        if have.issuperset(ATTITUDE) and rows.size:
+            clock, rate = raw.t[rows], np.linalg.norm(turning[rows], axis=1)
+
+            def of_attitude(t: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+                # The gyro has rows of its own: its value at the time of the attitude.
+                return 0.125 * np.interp(t, clock, rate) ** 2 * a * b + 0.25 * twist * a * b
+
+            out[ATTITUDE] = of_attitude
     return out
 
 
-def _alone(block: FloatArray, explained: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Samples that stand apart from the middle of both neighbours, which agree with each other."""
+def _alone(t: FloatArray, block: FloatArray, explained: Explained) -> tuple[BoolArray, FloatArray]:
+    """Samples (n, d) at increasing times (n,) that stand apart from the line between both
+    neighbours, which agree with each other."""
     bad = np.zeros(len(block), dtype=bool)
     size = np.zeros(len(block))
     if len(block) < 5:
         return bad, size
-    middle = 0.5 * (block[:-2] + block[2:])
-    apart = np.linalg.norm(block[1:-1] - middle, axis=1)
+    gap = np.diff(t)
+    before, after = gap[:-1], gap[1:]
+    share = (before / (before + after))[:, None]
+    apart = np.linalg.norm(block[1:-1] - (1.0 - share) * block[:-2] - share * block[2:], axis=1)
     between = np.linalg.norm(block[2:] - block[:-2], axis=1)
-    seen = np.isfinite(apart)
-    if not seen.any():
-        return bad, size
-    usual = float(np.median(apart[seen]))
-    limit = np.maximum(APART * usual, MARGIN * explained[1:-1])
-    with np.errstate(invalid="ignore"):
-        bad[1:-1] = (apart > limit) & (between < 0.5 * apart)
-    size[1:-1] = np.nan_to_num(apart)
+    # Stamps jitter: two that lie closer than usual leave the craft no less time to move.
+    usual = float(np.median(gap))
+    possible = explained(t[1:-1], np.maximum(before, usual), np.maximum(after, usual))
+    limit = np.maximum(APART * float(np.median(apart)), MARGIN * possible)
+    bad[1:-1] = (apart > limit) & (between < 0.5 * apart)
+    size[1:-1] = apart
     return bad, size

@@ -1,18 +1,24 @@
 """The standard sets of effects, nested: what small multirotors have, most common first.
 
-Each step adds what the steps before cannot say; which step a craft needs, left-out flight decides.
-Order and content follow what flights of small quadrotors showed: the loss of speed to drag, then the
-moments of the air, then what is trimmed anew for every flight (docs/automatic.md, with the figures).
+Each step adds what the steps before cannot say; which step a craft needs, left-out flight decides,
+and of its effects those stay that are felt. Order and content follow what flights of small
+quadrotors showed: the air's forces and moments, then what is trimmed anew for every flight, then
+clocks.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from greybox.automatic.facts import Facts
 from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.vehicle import Vehicle
+
+APART = 0.3
+"""Samples by which attitude and gyro are apart from which a late pose is offered: the resolution of
+the check that measures it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,31 +35,47 @@ def names_of(step: Step) -> tuple[str, ...]:
     return tuple(e if isinstance(e, str) else e.name for e in step.effects)
 
 
-BASE = Step(name="rotors and sensors", effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"))
+BASE = Step(
+    name="rotors and sensors",
+    effects=("motor_lag", "command_delay", "gyro_bias", "accelerometer_bias"),
+)
 
 STEPS = (
-    Step(name="battery", effects=("battery_sag",)),
-    Step(name="drag", effects=("rotor_drag",)),
-    Step(name="moments of the air", effects=("blade_flapping", "rotational_damping")),
     Step(
-        name="trim of each flight", effects=("rotor_asymmetry", "mocap_misalignment"),
+        name="air and battery",
+        effects=("battery_sag", "rotor_drag", "blade_flapping", "rotational_damping"),
+    ),
+    Step(
+        name="trim of each flight",
+        effects=("rotor_asymmetry", "mocap_misalignment"),
         per_flight=("rotor_asymmetry", "mocap_misalignment"),
     ),
     Step(name="clocks of each flight", effects=("pose_delay",), per_flight=("pose_delay",)),
 )
 
 
-def nested_sets(vehicle: Vehicle, facts: Facts) -> tuple[Step, ...]:
+def nested_sets(
+    vehicle: Vehicle, facts: Facts, *, input: Literal["command", "speed"] = "command"
+) -> tuple[Step, ...]:
     """The base and the steps after it whose effects can be felt by the sensors of these flights.
 
-    Effects of the vehicle file are there from the start and not offered again.
+    Effects of the vehicle file are there from the start and not offered again. Rotor speeds that
+    are the `input` already hold what shapes a command.
     """
     steps = []
     for step in (BASE, *STEPS):
-        usable = tuple(n for n in names_of(step) if n not in vehicle.effects and _felt(n, vehicle, facts))
+        usable = tuple(
+            n
+            for n in names_of(step)
+            if n not in vehicle.effects and _felt(n, vehicle, facts) and _acts_on(n, input)
+        )
         if usable or step is BASE:
             steps.append(Step(name=step.name, effects=usable, per_flight=step.per_flight))
     return tuple(steps)
+
+
+def _acts_on(name: str, input: str) -> bool:
+    return input == "command" or effect_by_name(name).stage not in ("command", "rotor")
 
 
 def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
@@ -62,10 +84,13 @@ def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
         return False
     if "vbat" in effect.needs.columns and not facts.voltage:
         return False
-    if name in ("rotor_drag", "blade_flapping"):  # proportional to a velocity that something must show
+    if name in (
+        "rotor_drag",
+        "blade_flapping",
+    ):  # proportional to a velocity that something must show
         return bool(facts.sensors & {"position", "velocity"})
-    if name == "pose_delay":
-        return facts.has_pose and facts.has_imu
+    if name == "pose_delay":  # offered where attitude and gyro were seen apart
+        return facts.has_pose and facts.has_imu and facts.apart > APART
     return True
 
 

@@ -6,12 +6,14 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greybox.automatic.fit import Prepared
     from greybox.data import Dataset
+    from greybox.data.checks import CheckReport
     from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
     from greybox.model.vehicle import Vehicle
@@ -53,6 +55,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, write_atomic, write_json
@@ -70,7 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     prepared, test = _flights(arguments, vehicle)
-    warnings = [f"data fault in {f.flight}: {f.message}" for f in prepared.report.findings if f.severity == "blocking"]
+    faults = check(test, vehicle) if test.flights else None
+    blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
+    warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
     say_vehicle(vehicle, say)
@@ -87,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         ours = sys.argv[1:2] == ["fit"]
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"
         if "explicit" in content:
-            content["explicit"]["command"] = _explicit(arguments, prepared, result)
+            content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
         write_json(out / "fit.json", content)
         result.model.save(out / "model.json")
         return content
@@ -110,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
     checked: dict[str, Any] | None = None
     table = ""
     try:
-        seen = _validated(arguments, result, prepared, test, pieces, horizons)
+        seen = _validated(arguments, result, prepared, test, faults, pieces, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
         checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
@@ -199,25 +204,28 @@ def _decided(
     """(the automatic fit, (model of the first parts of the flights, pieces left out) or None)."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
-    from greybox.automatic.fit import fit_decided
+    from greybox.automatic.fit import fit_decided, judged_on_pieces
+    from greybox.estimation.status import Interrupted
 
     say("deciding what is open, on pieces of the flights that are left out:")
     for done in prepared.decisions():
         say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
-    decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+    try:
+        decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+    except Interrupted:  # a trial on pieces of the flights is no result
+        raise KeyboardInterrupt from None
     say("fitting all flights:")
     result = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    if decided.candidate is None or decided.left_out is None:
-        return result, None
-    return result, (decided.candidate.fit.model, decided.left_out)
+    return result, judged_on_pieces(vehicle, decided, result)
 
 
 def _validated(
     arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
-    pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
+    faults: CheckReport | None, pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
 ) -> Validation:  # fmt: skip
-    """On test flights where there are any, else on pieces left out, else on the flights that were fitted."""
+    """On test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
+    flights that were fitted."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
@@ -226,18 +234,30 @@ def _validated(
     recipe = result.provenance.recipe
     kinematic = bool(arguments.kinematic_noise) if recipe is None else recipe.kinematic_noise
     hints = (
-        *hints_of_checks(prepared.report, effects=result.model.effects, kinematic_noise=kinematic),
+        *(
+            h
+            for report in (prepared.report, faults)
+            if report is not None
+            for h in hints_of_checks(report, effects=result.model.effects, kinematic_noise=kinematic)
+        ),
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
-    adapt = arguments.adapt if recipe is None else recipe.adapt
     if test.flights:
-        if adapt is not None and arguments.adapt is None and min(f.duration for f in test) < 3 * adapt:
-            adapt = None
-        return validate(result.model, test, **horizons, adapt=adapt, hints=hints)
+        return validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
     if pieces is not None:
         return validate(pieces[0], pieces[1], **horizons, hints=hints, judged_on=LEFT_OUT)
     return validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+
+
+def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
+    """Seconds that test flights are adapted on; a time that nobody asked for only where enough is left to judge."""
+    from greybox.automatic.fit import adaptation
+
+    recipe = result.provenance.recipe
+    if arguments.adapt is not None or recipe is None:
+        return None if arguments.adapt is None else float(arguments.adapt)
+    return adaptation(recipe, test)
 
 
 def _sanity_lines(result: Fit) -> list[str]:
@@ -246,23 +266,25 @@ def _sanity_lines(result: Fit) -> list[str]:
     return sanity_of(result).lines()
 
 
-def _explicit(arguments: argparse.Namespace, prepared: Prepared, result: Fit) -> str:
+def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, result: Fit) -> str:
     """The explicit command line: every choice is said, flights that were left out are not named."""
-    recipe = result.provenance.recipe
-    assert recipe is not None
+    decided = result.provenance.recipe
+    assert decided is not None
+    recipe = replace(decided, adapt=_adapted(arguments, result, test))
     out = {f.flight for f in prepared.left_out}
     train = [p for p, name in zip(arguments.train, prepared.names, strict=True) if name not in out]
     words = recipe.command_line(arguments.vehicle, train, arguments.test)
     more = ["--mapping", arguments.mapping] if arguments.mapping else []
+    more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     return words + (" " + shlex.join(more) if more else "")
 
 
 def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 3
+    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
 ) -> dict[str, Any]:
-    """Time series of up to `limit` flights per data set for the report: measured, one step and some way ahead."""
+    """Time series of `limit` flights per data set for the report (15 figures each): measured, one step and some ahead."""
     import numpy as np
 
     from greybox.estimation.filtering import Filter

@@ -1,4 +1,5 @@
-"""What the commands that judge have in common: print the findings, write the JSON, give the exit code."""
+"""What the commands that judge have in common: print the findings, write the JSON, give the exit
+code."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 
 
 def tell(report: Any, json: str | None) -> int:
-    """Print `report` (`summary()`, `to_dict()`, `ok`), or its JSON where `json` is "-"; write it to the file `json`.
+    """Print `report` (`summary()`, `to_dict()`, `ok`), or its JSON where `json` is "-"; write it to
+    the file `json`.
 
     Returns 0, or 1 where something blocks. Raises `OutputError`.
     """
@@ -33,25 +35,39 @@ def horizon_options(p: Any) -> None:
     from greybox.validation.horizons import HORIZONS
 
     default = ",".join(f"{h:g}" for h in HORIZONS)
-    p.add_argument("--horizons", default=default, metavar="S,...", help="seconds ahead to list (default %(default)s)")
     p.add_argument(
-        "--horizons-samples", default=None, metavar="N,...", help="numbers of samples ahead, instead of seconds"
+        "--horizons",
+        default=default,
+        metavar="S,...",
+        help="seconds ahead to list (default %(default)s)",
+    )
+    p.add_argument(
+        "--horizons-samples",
+        default=None,
+        metavar="N,...",
+        help="numbers of samples ahead, instead of seconds",
     )
 
 
 def given_horizons(arguments: argparse.Namespace) -> dict[str, Any]:
-    """`horizons` and `horizon_samples` as `validate` takes them. Raises `DataError` for what is neither."""
+    """`horizons` and `horizon_samples` as `validate` takes them. Raises `DataError` for what is
+    neither."""
     from greybox.validation.horizons import parse_samples, parse_seconds
 
-    samples = None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    samples = (
+        None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    )
     return {"horizons": parse_seconds(arguments.horizons), "horizon_samples": samples}
 
 
 def horizon_steps(arguments: argparse.Namespace, sample_time: float) -> tuple[int, ...]:
-    """The horizons that were asked for as numbers of samples of `sample_time` [s]; what was changed is said."""
+    """The horizons that were asked for as numbers of samples of `sample_time` [s]; what was changed
+    is said."""
     from greybox.validation.horizons import horizons_of, parse_samples, parse_seconds
 
-    samples = None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    samples = (
+        None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
+    )
     found = horizons_of(parse_seconds(arguments.horizons), samples=samples, sample_time=sample_time)
     for note in found.notes:
         print(f"greybox: {note}", file=sys.stderr)
@@ -65,13 +81,15 @@ def exit_code(verdict: Verdict | None) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """Whether a command that builds on a model goes on (`open`), and the `line` that says what the model is worth."""
+    """Whether a command that builds on a model goes on (`open`), and the `line` that says what the
+    model is worth."""
 
     open: bool
     line: str
 
     def say(self, command: str) -> None:
-        """Print the line on standard error; nothing where the model is of a kind that is not judged this way."""
+        """Print the line on standard error; nothing where the model is of a kind that is not judged
+        this way."""
         if self.line:
             print(f"greybox {command}: {self.line}", file=sys.stderr)
 
@@ -79,8 +97,8 @@ class Gate:
 def gate(content: Mapping[str, Any], path: str, *, even_so: bool) -> Gate:
     """Judge a model file (`content`, read from `path`) by the verdict that it carries.
 
-    Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older one) passes with a warning.
-    Raises `FileFormatError` for a verdict that is incomplete.
+    Closed where it says NOT USABLE and nobody said `even_so`. A file without a verdict (an older
+    one) passes with a warning. Raises `FileFormatError` for a verdict that is incomplete.
     """
     from greybox.errors import FileFormatError
     from greybox.model.identified import SCHEMA
@@ -95,7 +113,9 @@ def gate(content: Mapping[str, Any], path: str, *, even_so: bool) -> Gate:
     try:
         verdict = Verdict.from_dict(data)
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise FileFormatError("incomplete verdict", where=path, fix="write the file again") from None
+        raise FileFormatError(
+            "incomplete verdict", where=path, fix="write the file again"
+        ) from None
     if verdict.refused and not even_so:
         return Gate(open=False, line=f"{path}: {verdict.line}. To go on all the same: --even-so")
     mark = "" if verdict.outcome is Outcome.USABLE else "warning: "

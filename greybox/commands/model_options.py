@@ -1,6 +1,8 @@
-"""How a model is built and fitted, as options of a command: what is left open is decided, or has its default.
+"""How a model is built and fitted, as options of a command: what is left open is decided, or has
+its default.
 
-`fit_options` fills what is open with the defaults of an explicit fit; `given` hands on only what was said.
+`fit_options` fills what is open with the defaults of an explicit fit; `given` hands on only what
+was said.
 """
 
 from __future__ import annotations
@@ -41,40 +43,109 @@ def values(text: str) -> dict[str, float]:
 
 
 def model_options(p: Any) -> None:
-    """Declare what says how the model is built and fitted. All are open (None) unless they are said."""
-    p.add_argument("--effects", type=names, default=None, metavar="a,b", help="effects besides those in the vehicle file")
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
-                   help="add the effects of these Python files, which are run (only what you trust)")  # fmt: skip
-    p.add_argument("--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states")
-    p.add_argument("--per-flight", type=names, default=None, metavar="a,b", help="parameters with one value per flight")
-    p.add_argument("--shared", type=names, default=None, metavar="a,b", help="parameters with one value for all flights")
-    p.add_argument("--fixed", type=names, default=None, metavar="a,b", help="parameters held at their value")
+    """Declare what says how the model is built and fitted. All are open (None) unless they are
+    said."""
     p.add_argument(
-        "--considered", type=names, default=None, metavar="a,b",
+        "--effects",
+        type=names,
+        default=None,
+        metavar="a,b",
+        help="effects besides those in the vehicle file",
+    )
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="add the effects of these Python files, which are run (only what you trust)",
+    )
+    p.add_argument(
+        "--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states"
+    )
+    p.add_argument(
+        "--per-flight",
+        type=names,
+        default=None,
+        metavar="a,b",
+        help="parameters with one value per flight",
+    )
+    p.add_argument(
+        "--shared",
+        type=names,
+        default=None,
+        metavar="a,b",
+        help="parameters with one value for all flights",
+    )
+    p.add_argument(
+        "--fixed", type=names, default=None, metavar="a,b", help="parameters held at their value"
+    )
+    p.add_argument(
+        "--considered",
+        type=names,
+        default=None,
+        metavar="a,b",
         help="of those held, the ones whose stated error widens the errors of the others",
     )
-    p.add_argument("--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters")
     p.add_argument(
-        "--predictor", default=None, help="innovation, kalman, k-step, multi-step, multiple-shooting, simulation"
+        "--free", type=names, default=None, metavar="a,b", help="fit exactly these parameters"
+    )
+    p.add_argument(
+        "--predictor",
+        default=None,
+        help="innovation, kalman, k-step, multi-step, multiple-shooting, simulation",
     )
     p.add_argument("--criterion", default=None, help="gaussian, robust, least-squares")
-    p.add_argument("--solver", default=None, help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt")
-    p.add_argument("--init", default=None, help="equation-error, noise, nominal, multistart, innovation")
-    p.add_argument("--noise", type=noise_levels, default=None, metavar="sensor.p=0.02,...",
-                   help="noise levels to start from, of a component (sensor.p) or a group (process.torque)")  # fmt: skip
     p.add_argument(
-        "--value", type=values, default=None, metavar="a=1,b=2", help="start values (of fixed parameters: values)"
+        "--solver", default=None, help="levenberg-marquardt, gauss-newton, scipy-trf, ipopt"
     )
-    p.add_argument("--hold-noise", nargs="?", const="all", default=None, choices=("none", "sensor", "all"),
-                   help="hold the sensors' or all noise levels at their start")  # fmt: skip
-    p.add_argument("--kinematic-noise", action=argparse.BooleanOptionalAction, default=None,
-                   help="noise between attitude and gyro (clocks that drift)")  # fmt: skip
-    p.add_argument("--input", choices=("command", "speed"), default="command", help="what drives the rotors")
-    p.add_argument("--max-iterations", type=int, default=None, metavar="N", help="iteration limit of the solver")
+    p.add_argument(
+        "--init", default=None, help="equation-error, noise, nominal, multistart, innovation"
+    )
+    p.add_argument(
+        "--noise",
+        type=noise_levels,
+        default=None,
+        metavar="sensor.p=0.02,...",
+        help="noise levels to start from, of a component (sensor.p) or a group (process.torque)",
+    )
+    p.add_argument(
+        "--value",
+        type=values,
+        default=None,
+        metavar="a=1,b=2",
+        help="start values (of fixed parameters: values)",
+    )
+    p.add_argument(
+        "--hold-noise",
+        nargs="?",
+        const="all",
+        default=None,
+        choices=("none", "sensor", "all"),
+        help="hold the sensors' or all noise levels at their start",
+    )
+    p.add_argument(
+        "--kinematic-noise",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="noise between attitude and gyro (clocks that drift)",
+    )
+    p.add_argument(
+        "--input", choices=("command", "speed"), default="command", help="what drives the rotors"
+    )
+    p.add_argument(
+        "--max-iterations",
+        type=int,
+        default=None,
+        metavar="N",
+        help="iteration limit of the solver",
+    )
 
 
 def fit_with(
-    arguments: argparse.Namespace, vehicle: Vehicle, train: Dataset, progress: Progress | None = None
+    arguments: argparse.Namespace,
+    vehicle: Vehicle,
+    train: Dataset,
+    progress: Progress | None = None,
 ) -> Fit:
     """The explicit fit: what is open has its default."""
     from greybox.estimation.fit import fit
@@ -111,7 +182,7 @@ def given(arguments: argparse.Namespace) -> Given:
         input=arguments.input,
         kinematic_noise=arguments.kinematic_noise,
         adapt=arguments.adapt,
-        choices=_choices(arguments),
+        choices={**_choices(arguments), "seed": arguments.seed},
     )
 
 
@@ -134,7 +205,11 @@ def _choices(arguments: argparse.Namespace) -> Any:
         "shared": arguments.shared,
         "values": arguments.value,
         "noise": arguments.noise,
-        "estimate_noise": None if held is None else "process" if held == "sensor" else held == "none",
+        "estimate_noise": None
+        if held is None
+        else "process"
+        if held == "sensor"
+        else held == "none",
     }
     return {name: value for name, value in said.items() if value is not None}
 

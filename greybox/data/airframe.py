@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from greybox.data.channel import ColumnSpec
 
@@ -58,3 +58,33 @@ class Airframe(Protocol):
     @property
     def columns(self) -> Mapping[str, ColumnSpec]:
         """Canonical channel -> column of the log (channels that are not named keep their canonical name)."""
+
+
+class Number(Protocol):
+    """A number of the vehicle file."""
+
+    @property
+    def value(self) -> float:
+        """In SI units."""
+
+
+@runtime_checkable
+class ThrustMap(Protocol):
+    """An actuator whose thrust is known."""
+
+    @property
+    def thrust(self) -> Sequence[Number]:
+        """c0, c1, c2 [N] per rotor: powers of the normalised rotor speed."""
+
+
+@runtime_checkable
+class Weighed(Protocol):
+    """A vehicle whose mass and moments of inertia are known."""
+
+    @property
+    def mass(self) -> Number:
+        """[kg]."""
+
+    @property
+    def inertia(self) -> Sequence[Sequence[float]]:
+        """(3, 3) [kg m^2] about the centre of mass."""

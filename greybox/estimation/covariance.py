@@ -67,7 +67,12 @@ def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatA
 
 
 def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space)."""
+    """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space).
+
+    Of no unknowns (all of them held) both are empty.
+    """
+    if not h.size:
+        return np.zeros_like(h), np.zeros(0, dtype=bool)
     size = np.sqrt(np.maximum(np.diag(h), 1e-300))
     value, vector = np.linalg.eigh(h / np.outer(size, size))
     good = value > NULL_SHARE * max(value[-1], 1e-300)

@@ -1,4 +1,5 @@
-"""Criterion: what a fit knows of the way from residuals to a cost. Members are in greybox/estimation/criteria."""
+"""Criterion: what a fit knows of the way from residuals to a cost. Members are in
+greybox/estimation/criteria."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ class Criterion(Protocol):
     def name(self) -> str:
         """Catalogue name."""
 
-    def evaluate(self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None) -> Value:
+    def evaluate(
+        self, problem: Problem, blocks: Iterable[Block], order: int, scores: int | None
+    ) -> Value:
         """Cost without priors (order 0), with gradient and Gauss-Newton Hessian (order 1).
 
         `scores`: also the gradients of consecutive stretches of so many samples. Raises `FitError`.

@@ -1,13 +1,15 @@
 """Covariance of a predicted state over many samples at once, and its exact derivative.
 
-What m samples with the same or different channels do to the covariance P of the predicted state is one map
+What m samples with the same or different channels do to the covariance P of the predicted state is
+one map
 
     P' = H + A P (I + G P)^-1 A'
 
-whatever m is: A is the transition, G the information on the first state that the samples bring, H the covariance at the
-end of a state known exactly at the start. One sample is an `Element` (A, G, H), two elements one after the other are one
-again, so that 2^k samples take k compositions (Anderson and Moore 1979, Optimal Filtering, sec. 6.7, doubling; Sarkka
-and Garcia-Fernandez 2021, IEEE Trans. Automatic Control 66(1), the associative composition for any sequence).
+whatever m is: A is the transition, G the information on the first state that the samples bring, H
+the covariance at the end of a state known exactly at the start. One sample is an `Element` (A, G,
+H), two elements one after the other are one again, so that 2^k samples take k compositions
+(Anderson and Moore 1979, Optimal Filtering, sec. 6.7, doubling; Sarkka and Garcia-Fernandez 2021,
+IEEE Trans. Automatic Control 66(1), the associative composition for any sequence).
 """
 
 from __future__ import annotations
@@ -40,10 +42,12 @@ def _around(left: FloatArray, stack: FloatArray, right: FloatArray) -> FloatArra
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """Linear system of a filter, states divided by `unit` (n_d), with the slopes of all its parts in n_s unknowns.
+    """Linear system of a filter, states divided by `unit` (n_d), with the slopes of all its parts
+    in n_s unknowns.
 
-    a, g, c, d as in `greybox.estimation.gain`; q (n_w), r (n_e) variances; weak (n_d) those of the pseudo-measurement
-    of every state, infinite for none. da, dg, dc, dd (n_s, ...), dq (n_s, n_w), dr (n_s, n_e); None without slopes.
+    a, g, c, d as in `greybox.estimation.gain`; q (n_w), r (n_e) variances; weak (n_d) those of the
+    pseudo-measurement of every state, infinite for none. da, dg, dc, dd (n_s, ...), dq (n_s, n_w),
+    dr (n_s, n_e); None without slopes.
     """
 
     a: FloatArray
@@ -53,7 +57,9 @@ class System:
     q: FloatArray
     r: FloatArray
     weak: FloatArray
-    slopes: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None = None
+    slopes: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None = (
+        None
+    )
 
     def scaled(self, unit: FloatArray) -> System:
         """The same system with the states in units of `unit`."""
@@ -113,7 +119,8 @@ def _even(m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Element:
-    """What some samples do to the covariance of the predicted state: A, G, H (n_d, n_d) and their slopes."""
+    """What some samples do to the covariance of the predicted state: A, G, H (n_d, n_d) and their
+    slopes."""
 
     A: FloatArray
     G: FloatArray
@@ -133,12 +140,20 @@ class Element:
             da = stack_times(da2, u) + v @ (da1 - dh_w) - z @ dg_u
             dg = dg1 + _both(stack_times(_turned(da1), w)) + u.T @ dg_u - w.T @ dh_w
             mh = m @ h1
-            dh = dh2 + _both(stack_times(da2, mh @ a2.T)) + _around(v, dh1, v.T) - _around(z, dg2, z.T)
+            dh = (
+                dh2
+                + _both(stack_times(da2, mh @ a2.T))
+                + _around(v, dh1, v.T)
+                - _around(z, dg2, z.T)
+            )
             slopes = da, dg, dh
         return Element(A=a2 @ u, G=_even(g1 + a1.T @ w), H=_even(h2 + z @ a2.T), slopes=slopes)
 
-    def moved(self, p: FloatArray, dp: FloatArray | None = None) -> tuple[FloatArray, FloatArray | None]:
-        """(P, dP) after these samples from the covariance `p` with slopes `dp` (n_s, n_d, n_d) before them."""
+    def moved(
+        self, p: FloatArray, dp: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """(P, dP) after these samples from the covariance `p` with slopes `dp` (n_s, n_d, n_d)
+        before them."""
         inverse = np.linalg.inv(np.eye(len(p)) + p @ self.G)
         x = _even(inverse @ p)  # the covariance once the samples are known
         ax = self.A @ x
@@ -151,7 +166,8 @@ class Element:
         return after, slope
 
     def closed(self, p: FloatArray) -> FloatArray:
-        """Transition of the filter's error over these samples, (n_d, n_d), from the covariance `p` before them."""
+        """Transition of the filter's error over these samples, (n_d, n_d), from the covariance `p`
+        before them."""
         return self.A @ np.linalg.inv(np.eye(len(p)) + p @ self.G)
 
     def settled(self, tolerance: float = 1e-14, most: int = 60) -> FloatArray | None:

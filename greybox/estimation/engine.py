@@ -1,9 +1,10 @@
-"""Engine: one step of a Dynamics with its exact sensitivities, compiled to C, and the recursions over a record.
+"""Engine: one step of a Dynamics with its exact sensitivities, compiled to C, and the recursions
+over a record.
 
-The step is linearised symbolically in the error state (SX, sparse), generated as C and driven by a small hand-written
-loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters). Without a C compiler the same functions
-run in CasADi's VM under the same recursion in NumPy: the same numbers, slower.
-The file is long because both are one recursion, and are read side by side.
+The step is linearised symbolically in the error state (SX, sparse), generated as C and driven by a
+small hand-written loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters).
+Without a C compiler the same functions run in CasADi's VM under the same recursion in NumPy: the
+same numbers, slower. The file is long because both are one recursion, and are read side by side.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ IntArray = npt.NDArray[np.int32]
 class Run:
     """What a pass over n samples gives; arrays that were not asked for are None.
 
-    states (n, n_x) predicted before the sample's correction, innovations (n, n_e), outputs (n, n_y) predicted,
-    sensitivity (n, n_e, n_s) of the innovations, state_sensitivity (n, n_d, n_s), end (n_x,), end_sensitivity (n_d, n_s).
+    states (n, n_x) predicted before the sample's correction, innovations (n, n_e), outputs (n, n_y)
+    predicted, sensitivity (n, n_e, n_s) of the innovations, state_sensitivity (n, n_d, n_s), end
+    (n_x,), end_sensitivity (n_d, n_s).
     """
 
     states: FloatArray | None
@@ -48,7 +50,8 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
-    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative (n_pat, n_d, n_e, n_s) or None.
+    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative (n_pat,
+    n_d, n_e, n_s) or None.
 
     `zero[i]` true: pattern i corrects nothing (pure simulation).
     """
@@ -59,8 +62,8 @@ class GainTable:
 
 
 class Samples(TypedDict):
-    """The samples of one record, as keywords of `Engine.run`: `inputs` padded by `padded_inputs`, outputs (n, n_y; NaN where
-    missing), mask (n, n_e), pattern (n,) into the gain table, dt [s]."""
+    """The samples of one record, as keywords of `Engine.run`: `inputs` padded by `padded_inputs`,
+    outputs (n, n_y; NaN where missing), mask (n, n_e), pattern (n,) into the gain table, dt [s]."""
 
     inputs: FloatArray
     outputs: FloatArray
@@ -80,8 +83,8 @@ class WindowSamples(TypedDict):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pass:
-    """One pass as the recursion takes it: contiguous arrays, of which x (n_x,), s (n_d, n_s) and those in `out` are written.
-    Arrays that are not kept are None."""
+    """One pass as the recursion takes it: contiguous arrays, of which x (n_x,), s (n_d, n_s) and
+    those in `out` are written. Arrays that are not kept are None."""
 
     x: FloatArray
     s: FloatArray | None
@@ -107,8 +110,9 @@ class _Pass:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """What many short open-loop runs give: innovations (r, n_e) and their sensitivity (r, n_e, n_s) of the kept samples,
-    ends (m, n_x) and end_sensitivity (m, n_d, n_s); failed_in is the first window that stopped being finite."""
+    """What many short open-loop runs give: innovations (r, n_e) and their sensitivity (r, n_e, n_s)
+    of the kept samples, ends (m, n_x) and end_sensitivity (m, n_d, n_s); failed_in is the first
+    window that stopped being finite."""
 
     innovations: FloatArray
     sensitivity: FloatArray | None
@@ -131,7 +135,8 @@ def symbols(dynamics: Dynamics) -> dict[str, Expr]:
 
 
 def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
-    """(d boxplus(x, d)/dd at d = 0 (n_x x n_d), d boxminus(z', z)/dz' at z' = z (n_d x n_x)): in and out of the chart."""
+    """(d boxplus(x, d)/dd at d = 0 (n_x x n_d), d boxminus(z', z)/dz' at z' = z (n_d x n_x)): in
+    and out of the chart."""
     d, other = ca.SX.sym("d", len(dynamics.error_states)), ca.SX.sym("z", len(dynamics.states))
     into = ca.substitute(ca.jacobian(dynamics.boxplus(x, d), d), d, ca.DM.zeros(d.numel()))
     out = ca.substitute(ca.jacobian(dynamics.boxminus(other, z), other), other, z)
@@ -141,11 +146,11 @@ def chart_jacobians(dynamics: Dynamics, x: Expr, z: Expr) -> tuple[Expr, Expr]:
 class Engine:
     """Compiled (or VM) step of `dynamics` with sensitivities for the parameters named in `active`.
 
-    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`. One that is not
-    `sensitive` runs without sensitivities only: a large model is then built several times quicker. `built` are the
-    parameters that sensitivities were built for, of which `active` are carried: the ones at `columns` (see `select`).
-    `quick` takes sensitivities that are compiled five times quicker and run at half the speed, for few samples; the
-    numbers are the same.
+    `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`.
+    One that is not `sensitive` runs without sensitivities only: a large model is then built several
+    times quicker. `built` are the parameters that sensitivities were built for, of which `active`
+    are carried: the ones at `columns` (see `select`). `quick` takes sensitivities that are compiled
+    five times quicker and run at half the speed, for few samples; the numbers are the same.
     """
 
     def __init__(
@@ -162,7 +167,11 @@ class Engine:
             self.active = active
             self.sensitive = sensitive
             self.nx, self.nd = len(dynamics.states), len(dynamics.error_states)
-            self.ne, self.ny, self.nu = len(dynamics.innovations), len(dynamics.outputs), len(dynamics.inputs)
+            self.ne, self.ny, self.nu = (
+                len(dynamics.innovations),
+                len(dynamics.outputs),
+                len(dynamics.inputs),
+            )
             self.past, self.future = dynamics.window
             names = [p.name for p in dynamics.parameters]
             self.active_index = np.array([names.index(a) for a in active], dtype=int)
@@ -174,7 +183,8 @@ class Engine:
             self._compile(quick)
 
     def select(self, active: tuple[str, ...]) -> Engine:
-        """The same engine with the sensitivities of some of its parameters only: nothing is built again.
+        """The same engine with the sensitivities of some of its parameters only: nothing is built
+        again.
 
         Raises `UnknownNameError` for a parameter that this engine has no sensitivity of.
         """
@@ -219,9 +229,13 @@ class Engine:
             a, b = ca.SX(self.nd, self.nd), ca.SX(self.nd, len(chosen))
             ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
         inputs = [x, window, y, p, dt]
-        self.value = ca.Function("gb_value", inputs, [ca.densify(v) for v in ca.cse([after, e, y_hat])])
+        self.value = ca.Function(
+            "gb_value", inputs, [ca.densify(v) for v in ca.cse([after, e, y_hat])]
+        )
         self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
-        self.pred = ca.Function("gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)])
+        self.pred = ca.Function(
+            "gb_pred", [x, window, p, dt], [ca.densify(after), ca.densify(y_hat)]
+        )
         z, k = ca.SX.sym("xF", self.nx), ca.SX.sym("k", self.nd)
         moved = d.boxplus(z, k)
         z_into, moved_out = chart_jacobians(d, z, moved)
@@ -261,7 +275,8 @@ class Engine:
         self._library = library
 
     def moved(self, x: FloatArray, d: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """x (n_x,) moved by an error d (n_d,), and the derivative in d, (n_d, n_d), in the chart of the moved state."""
+        """x (n_x,) moved by an error d (n_d,), and the derivative in d, (n_d, n_d), in the chart of
+        the moved state."""
         with CASADI:
             state, _, slope = (v.full() for v in self.inject(x, d))
         return np.asarray(state).ravel(), np.asarray(slope)
@@ -269,14 +284,24 @@ class Engine:
     def padded_inputs(self, u: FloatArray, earlier: FloatArray | None = None) -> FloatArray:
         """Record of commands (n, n_u) with what the window sees besides: (n + past + future, n_u).
 
-        Before it stand the commands `earlier` (m, n_u) as far as they go, then the first row; after it the last row.
+        Before it stand the commands `earlier` (m, n_u) as far as they go, then the first row; after
+        it the last row.
         """
         u = np.asarray(u, dtype=np.float64)
         if not (self.past or self.future):
             return np.ascontiguousarray(u)
-        known = u[:0] if earlier is None or not self.past else np.asarray(earlier, dtype=np.float64)[-self.past :]
+        known = (
+            u[:0]
+            if earlier is None or not self.past
+            else np.asarray(earlier, dtype=np.float64)[-self.past :]
+        )
         first = (known if len(known) else u)[:1]
-        rows = [np.repeat(first, self.past - len(known), 0), known, u, np.repeat(u[-1:], self.future, 0)]
+        rows = [
+            np.repeat(first, self.past - len(known), 0),
+            known,
+            u,
+            np.repeat(u[-1:], self.future, 0),
+        ]
         return np.ascontiguousarray(np.concatenate(rows))
 
     def run(
@@ -289,19 +314,27 @@ class Engine:
         want: frozenset[str] = frozenset({"innovations"}),
         **samples: Unpack[Samples],
     ) -> Run:
-        """Filter n samples from x0 (n_x,) with the parameters p (n_p); inputs, outputs, mask, pattern, dt: see `Samples`.
+        """Filter n samples from x0 (n_x,) with the parameters p (n_p); inputs, outputs, mask,
+        pattern, dt: see `Samples`.
 
-        `want` names the arrays of `Run` to keep. With `s0` (n_d, n_s) the sensitivities run along: the first columns
-        belong to the active parameters, the others only to what s0 and the gain's derivative put there.
+        `want` names the arrays of `Run` to keep. With `s0` (n_d, n_s) the sensitivities run along:
+        the first columns belong to the active parameters, the others only to what s0 and the gain's
+        derivative put there.
         """
         outputs = samples["outputs"]
         n = outputs.shape[0]
         ns = 0 if s0 is None else s0.shape[1]
         shapes = {
-            "states": (n, self.nx), "innovations": (n, self.ne), "outputs": (n, self.ny),
-            "sensitivity": (n, self.ne, ns), "state_sensitivity": (n, self.nd, ns),
-        }  # fmt: skip
-        out = {k: (np.zeros(v) if k in want and (ns or "sens" not in k) else None) for k, v in shapes.items()}
+            "states": (n, self.nx),
+            "innovations": (n, self.ne),
+            "outputs": (n, self.ny),
+            "sensitivity": (n, self.ne, ns),
+            "state_sensitivity": (n, self.nd, ns),
+        }
+        out = {
+            k: (np.zeros(v) if k in want and (ns or "sens" not in k) else None)
+            for k, v in shapes.items()
+        }
         one = _Pass(
             x=np.array(x0, dtype=np.float64),
             s=None if s0 is None else np.array(s0, dtype=np.float64, order="C"),
@@ -309,8 +342,11 @@ class Engine:
             y=np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0)),
             mask=np.ascontiguousarray(samples["mask"], dtype=np.float64),
             pattern=np.ascontiguousarray(samples["pattern"], dtype=np.int32),
-            gains=gains, p=np.ascontiguousarray(p), dt=samples["dt"], out=out,
-        )  # fmt: skip
+            gains=gains,
+            p=np.ascontiguousarray(p),
+            dt=samples["dt"],
+            out=out,
+        )
         bad = self._run_c(one) if self.compiled else self._run_vm(one)
         return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
 
@@ -318,24 +354,54 @@ class Engine:
         a, r, i, w = self._work
         length = int(self._library.gb_buffer(self.nx, self.nd, self.ne, self.ny, max(ns, 1)))
         return (
-            (ctypes.c_void_p * a)(), (ctypes.c_void_p * r)(), (ctypes.c_longlong * i)(), (ctypes.c_double * w)(),
+            (ctypes.c_void_p * a)(),
+            (ctypes.c_void_p * r)(),
+            (ctypes.c_longlong * i)(),
+            (ctypes.c_double * w)(),
             np.zeros(length),
-        )  # fmt: skip
+        )
 
     def _run_c(self, one: _Pass) -> int:
         ns, gains, out = one.ns, one.gains, one.out
         arg, res, iw, w, buffer = self._scratch(ns)
         gain = np.ascontiguousarray(gains.gain)
         zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
-        slope = None if gains.derivative is None or not ns else np.ascontiguousarray(gains.derivative)
+        slope = (
+            None if gains.derivative is None or not ns else np.ascontiguousarray(gains.derivative)
+        )
         return int(
             self._library.gb_run(
-                one.n, self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(one.x), _ptr(one.s), _ptr(one.u),
-                _ptr(one.y), _ptr(one.mask), _ptr(one.pattern), _ptr(one.p), ctypes.c_double(one.dt), _ptr(gain),
-                _ptr(zero), _ptr(slope), _ptr(out["states"]), _ptr(out["innovations"]), _ptr(out["outputs"]),
-                _ptr(out["sensitivity"]), _ptr(out["state_sensitivity"]), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
+                one.n,
+                self.nx,
+                self.nd,
+                self.ne,
+                self.ny,
+                self.nu,
+                ns,
+                _ptr(one.x),
+                _ptr(one.s),
+                _ptr(one.u),
+                _ptr(one.y),
+                _ptr(one.mask),
+                _ptr(one.pattern),
+                _ptr(one.p),
+                ctypes.c_double(one.dt),
+                _ptr(gain),
+                _ptr(zero),
+                _ptr(slope),
+                _ptr(out["states"]),
+                _ptr(out["innovations"]),
+                _ptr(out["outputs"]),
+                _ptr(out["sensitivity"]),
+                _ptr(out["state_sensitivity"]),
+                _ptr(self._place),
+                arg,
+                res,
+                iw,
+                w,
+                _ptr(buffer),
             )
-        )  # fmt: skip
+        )
 
     def _run_vm(self, one: _Pass) -> int:
         x, s, u, mask, gains = one.x, one.s, one.u, one.mask, one.gains
@@ -345,7 +411,11 @@ class Engine:
             at = (x, u[t : t + width].T, one.y[t], one.p, one.dt)
             xf, e, yh = self.value(*at)
             e = np.asarray(e.full()).ravel() * (mask[t] != 0)
-            for key, value in (("states", x), ("innovations", e), ("outputs", np.asarray(yh.full()).ravel())):
+            for key, value in (
+                ("states", x),
+                ("innovations", e),
+                ("outputs", np.asarray(yh.full()).ravel()),
+            ):
                 if (kept := one.out[key]) is not None:
                     kept[t] = value
             if s is not None:
@@ -387,11 +457,11 @@ class Engine:
         s0: FloatArray | None = None,
         **samples: Unpack[WindowSamples],
     ) -> Windows:
-        """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the record's `rows` (m,).
-        inputs, outputs, mask, dt: see `WindowSamples`.
+        """Open-loop runs of `lengths` (m,) samples from the states `starts` (m, n_x) at the
+        record's `rows` (m,). inputs, outputs, mask, dt: see `WindowSamples`.
 
-        The innovations of the last `tails` (m,) samples of each window are kept, in order. With `s0` (m, n_d, n_s) the
-        sensitivities run along as in `run`.
+        The innovations of the last `tails` (m,) samples of each window are kept, in order. With
+        `s0` (m, n_d, n_s) the sensitivities run along as in `run`.
         """
         outputs, dt = samples["outputs"], samples["dt"]
         m, kept, longest = len(rows), int(np.sum(tails)), int(np.max(lengths))
@@ -399,7 +469,10 @@ class Engine:
         x = np.array(starts, dtype=np.float64)
         s = None if s0 is None else np.array(s0, dtype=np.float64, order="C")
         y = np.ascontiguousarray(np.where(np.isfinite(outputs), outputs, 0.0))
-        mask, u = np.ascontiguousarray(samples["mask"], dtype=np.float64), np.ascontiguousarray(samples["inputs"])
+        mask, u = (
+            np.ascontiguousarray(samples["mask"], dtype=np.float64),
+            np.ascontiguousarray(samples["inputs"]),
+        )
         p = np.ascontiguousarray(p, dtype=np.float64)
         e = np.zeros((kept, self.ne))
         de = None if s is None else np.zeros((kept, self.ne, ns))
@@ -407,24 +480,60 @@ class Engine:
         bad = 0
         if self.compiled:
             arg, res, iw, w, buffer = self._scratch(ns)
-            first, length, tail = (np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails))
+            first, length, tail = (
+                np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails)
+            )
             e_one, de_one = np.zeros((longest, self.ne)), np.zeros((longest, self.ne, max(ns, 1)))
             bad = int(
                 self._library.gb_windows(
-                    m, _ptr(first), _ptr(length), _ptr(tail), self.nx, self.nd, self.ne, self.ny, self.nu, ns, _ptr(x),
-                    _ptr(s), _ptr(u), _ptr(y), _ptr(mask), _ptr(p), ctypes.c_double(dt), _ptr(e), _ptr(de), _ptr(e_one),
-                    _ptr(de_one), _ptr(pattern), _ptr(one), _ptr(self._place), arg, res, iw, w, _ptr(buffer),
+                    m,
+                    _ptr(first),
+                    _ptr(length),
+                    _ptr(tail),
+                    self.nx,
+                    self.nd,
+                    self.ne,
+                    self.ny,
+                    self.nu,
+                    ns,
+                    _ptr(x),
+                    _ptr(s),
+                    _ptr(u),
+                    _ptr(y),
+                    _ptr(mask),
+                    _ptr(p),
+                    ctypes.c_double(dt),
+                    _ptr(e),
+                    _ptr(de),
+                    _ptr(e_one),
+                    _ptr(de_one),
+                    _ptr(pattern),
+                    _ptr(one),
+                    _ptr(self._place),
+                    arg,
+                    res,
+                    iw,
+                    w,
+                    _ptr(buffer),
                 )
-            )  # fmt: skip
+            )
         else:
             none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
             width, at = self.past + self.future, 0
             for i in range(m):
                 k, n, keep = int(rows[i]), int(lengths[i]), int(tails[i])
                 run = self.run(
-                    x0=x[i], inputs=u[k : k + n + width], outputs=y[k : k + n], mask=mask[k : k + n], pattern=pattern[:n],
-                    gains=none, p=p, dt=dt, s0=None if s is None else s[i], want=frozenset({"innovations", "sensitivity"}),
-                )  # fmt: skip
+                    x0=x[i],
+                    inputs=u[k : k + n + width],
+                    outputs=y[k : k + n],
+                    mask=mask[k : k + n],
+                    pattern=pattern[:n],
+                    gains=none,
+                    p=p,
+                    dt=dt,
+                    s0=None if s is None else s[i],
+                    want=frozenset({"innovations", "sensitivity"}),
+                )
                 if run.failed_at is not None:
                     bad = 1 + i
                     break
@@ -436,14 +545,26 @@ class Engine:
                     de[at : at + keep] = run.sensitivity[n - keep :]
                 at += keep
         return Windows(
-            innovations=e, sensitivity=de, ends=x, end_sensitivity=s, failed_in=None if bad == 0 else bad - 1
+            innovations=e,
+            sensitivity=de,
+            ends=x,
+            end_sensitivity=s,
+            failed_in=None if bad == 0 else bad - 1,
         )
 
     def rollout(
-        self, *, starts: FloatArray, rows: npt.NDArray[np.int_], horizon: int, inputs: FloatArray, p: FloatArray, dt: float,
+        self,
+        *,
+        starts: FloatArray,
+        rows: npt.NDArray[np.int_],
+        horizon: int,
+        inputs: FloatArray,
+        p: FloatArray,
+        dt: float,
         want_states: bool = False,
-    ) -> tuple[FloatArray, FloatArray | None]:  # fmt: skip
-        """Open-loop outputs (m, horizon, n_y) at rows k, k+1, ... from the states `starts` (m, n_x) at the rows k."""
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Open-loop outputs (m, horizon, n_y) at rows k, k+1, ... from the states `starts` (m, n_x)
+        at the rows k."""
         m = len(rows)
         y = np.zeros((m, horizon, self.ny))
         states = np.zeros((m, horizon, self.nx)) if want_states else None
@@ -453,9 +574,24 @@ class Engine:
             arg, res, iw, w, buffer = self._scratch(1)
             k0 = np.ascontiguousarray(rows, dtype=np.int32)
             self._library.gb_rollout(
-                m, horizon, self.nx, self.ny, self.nu, _ptr(starts), _ptr(k0), _ptr(u), _ptr(p), ctypes.c_double(dt),
-                _ptr(y), _ptr(states), arg, res, iw, w, _ptr(buffer),
-            )  # fmt: skip
+                m,
+                horizon,
+                self.nx,
+                self.ny,
+                self.nu,
+                _ptr(starts),
+                _ptr(k0),
+                _ptr(u),
+                _ptr(p),
+                ctypes.c_double(dt),
+                _ptr(y),
+                _ptr(states),
+                arg,
+                res,
+                iw,
+                w,
+                _ptr(buffer),
+            )
             return y, states
         width = self.past + 1 + self.future
         step = self.pred.map(m)
@@ -476,7 +612,8 @@ def _ptr(array: Any) -> Any:
 
 @functools.lru_cache(maxsize=64)
 def _shelf(dynamics: Dynamics, use_compiler: bool) -> dict[tuple[tuple[str, ...], bool], Engine]:
-    """Engines of one model that this process has built, by active parameters and whether they have sensitivities."""
+    """Engines of one model that this process has built, by active parameters and whether they have
+    sensitivities."""
     return {}
 
 
@@ -488,7 +625,8 @@ def engine_for(
     sensitive: bool = True,
     quick: bool = False,
 ) -> Engine:
-    """The engine of a model and a set of active parameters, built once per process; see `Engine` for `quick`.
+    """The engine of a model and a set of active parameters, built once per process; see `Engine`
+    for `quick`.
 
     One without active parameters is any other of that model: they run the same step.
     """
@@ -503,6 +641,8 @@ def engine_for(
         shelf[key] = (
             same[0].select(())
             if same
-            else Engine(dynamics, active, use_compiler=use_compiler, sensitive=sensitive, quick=quick)
+            else Engine(
+                dynamics, active, use_compiler=use_compiler, sensitive=sensitive, quick=quick
+            )
         )
     return shelf[key]

@@ -1,9 +1,11 @@
-"""Feasible: which moments of inertia a body can have, as a wall around them that solvers feel and starts are moved inside.
+"""Feasible: which moments of inertia a body can have, as a wall around them that solvers feel and
+starts are moved inside.
 
-A body of positive density has second moments of mass that are positive in every direction. In terms of the inertia matrix
-J about the centre of mass: every principal moment is below half of their sum, which is the triangle inequality and makes J
-positive definite (Wensing, Kim and Slotine 2018, Linear matrix inequalities for physically consistent inertial parameter
-identification, IEEE RA-L 3(1), sec. III). The margins below are the second moments over the trace of J; a sphere has 1/6
+A body of positive density has second moments of mass that are positive in every direction. In terms
+of the inertia matrix J about the centre of mass: every principal moment is below half of their sum,
+which is the triangle inequality and makes J positive definite (Wensing, Kim and Slotine 2018,
+Linear matrix inequalities for physically consistent inertial parameter identification, IEEE RA-L
+3(1), sec. III). The margins below are the second moments over the trace of J; a sphere has 1/6
 three times, a flat plate has 0 across.
 """
 
@@ -21,12 +23,14 @@ from greybox.model.vehicle import EXACT_SCHEMA
 from greybox.symbolic import FloatArray
 
 NEAR = 0.01
-"""Margin above which nothing of the wall is felt. Flat quadrotors have 0.02 and more (J / (m L^2) of 0.24, 0.24, 0.43)."""
+"""Margin above which nothing of the wall is felt. Flat quadrotors have 0.02 and more (J / (m L^2)
+of 0.24, 0.24, 0.43)."""
 WEIGHT = 0.1
 """Height of the wall in units of the cost (negative log posterior) per factor e of margin."""
 
 MOVE, MOST_MOVES = 0.1, 60
-"""Share of the way to a sphere that a start is moved at once, and how often; after these 0.2 % of the way are left."""
+"""Share of the way to a sphere that a start is moved at once, and how often; after these 0.2 % of
+the way are left."""
 
 PLACES = (
     ("inertia.xx", 0, 0),
@@ -36,7 +40,8 @@ PLACES = (
     ("products_of_inertia.Jxz", 0, 2),
     ("products_of_inertia.Jyz", 1, 2),
 )
-"""Parameters that are elements of the inertia matrix, or are added to one. Diagonal elements come first."""
+"""Parameters that are elements of the inertia matrix, or are added to one. Diagonal elements come
+first."""
 
 
 class Unknown(Protocol):
@@ -80,8 +85,8 @@ class Unknowns(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """Inertia matrix of one flight's body as a function of the unknowns: `held` (3, 3) plus the unknowns at `columns`,
-    each at the place in the matrix that `elements` says."""
+    """Inertia matrix of one flight's body as a function of the unknowns: `held` (3, 3) plus the
+    unknowns at `columns`, each at the place in the matrix that `elements` says."""
 
     held: FloatArray
     columns: tuple[int, ...]
@@ -99,7 +104,8 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wall:
-    """The wall at one point: cost, infinite where no body can be, gradient (n,) and positive semidefinite Hessian (n, n)."""
+    """The wall at one point: cost, infinite where no body can be, gradient (n,) and positive
+    semidefinite Hessian (n, n)."""
 
     cost: float
     gradient: FloatArray
@@ -107,7 +113,8 @@ class Wall:
 
 
 def margins(inertia: FloatArray) -> FloatArray:
-    """Second moments over the trace (3,), the smallest last; positive for every inertia matrix that a body can have."""
+    """Second moments over the trace (3,), the smallest last; positive for every inertia matrix that
+    a body can have."""
     trace = float(np.trace(inertia))
     if not np.isfinite(inertia).all() or not trace > 0:
         return np.full(3, -np.inf)
@@ -122,8 +129,9 @@ def is_possible(inertia: FloatArray) -> bool:
 def wall(bodies: Sequence[Body], theta: FloatArray) -> Wall:
     """The wall of all bodies at the unknowns `theta` (n,).
 
-    w = WEIGHT * (-log t - (1 - t) - (1 - t)^2 / 2) with t = margin / NEAR, below t = 1: twice differentiable, zero where
-    nothing is near. The Hessian leaves out how eigenvectors turn, as Gauss-Newton does.
+    w = WEIGHT * (-log t - (1 - t) - (1 - t)^2 / 2) with t = margin / NEAR, below t = 1: twice
+    differentiable, zero where nothing is near. The Hessian leaves out how eigenvectors turn, as
+    Gauss-Newton does.
     """
     n = theta.size
     cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
@@ -147,10 +155,14 @@ def wall(bodies: Sequence[Body], theta: FloatArray) -> Wall:
     return Wall(cost=float(cost), gradient=gradient, hessian=hessian)
 
 
-def moved_inside(bodies: Sequence[Body], theta: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """`theta` (n,) within its bounds (n,), and every body moved towards a sphere of the same trace until it is possible.
+def moved_inside(
+    bodies: Sequence[Body], theta: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """`theta` (n,) within its bounds (n,), and every body moved towards a sphere of the same trace
+    until it is possible.
 
-    Bodies with a margin stay as they are. What the unknowns cannot mend (an impossible body that is held) stays too.
+    Bodies with a margin stay as they are. What the unknowns cannot mend (an impossible body that is
+    held) stays too.
     """
     out = np.clip(theta, lower, upper)
     for body in bodies:
@@ -171,10 +183,12 @@ def moved_inside(bodies: Sequence[Body], theta: FloatArray, lower: FloatArray, u
 
 
 def bodies_of(problem: Unknowns) -> tuple[Body, ...]:
-    """The bodies whose inertia is estimated, one per set of unknowns (flights may have copies of their own).
+    """The bodies whose inertia is estimated, one per set of unknowns (flights may have copies of
+    their own).
 
-    None for vehicle files of schema /1, whose fits keep their meaning. Left out are bodies that no value of the unknowns
-    makes possible: there the vehicle file holds what no body has, and a wall would leave nothing to estimate.
+    None for vehicle files of schema /1, whose fits keep their meaning. Left out are bodies that no
+    value of the unknowns makes possible: there the vehicle file holds what no body has, and a wall
+    would leave nothing to estimate.
     """
     physics = physics_of(problem.dynamics)
     if physics is None or physics.vehicle.schema == EXACT_SCHEMA:

@@ -1,6 +1,8 @@
-"""fit: estimate a model's parameters from flights by the prediction error method, and say how sure the numbers are.
+"""fit: estimate a model's parameters from flights by the prediction error method, and say how sure
+the numbers are.
 
-fit is a function from values to a value: model, data and choices in, a frozen `Fit` out; nothing is changed in place.
+fit is a function from values to a value: model, data and choices in, a frozen `Fit` out; nothing is
+changed in place.
 """
 
 from __future__ import annotations
@@ -48,39 +50,46 @@ def fit(
 ) -> Fit:
     """Fit `model` to `data` by the prediction error method.
 
-    The choices are keywords, fields of `FitOptions` with its defaults, or `options` as a whole; keywords go before it:
-    predictor, criterion, solver, initialisation, disturbance, free, fixed, per_flight, shared, values, priors,
-    flight_priors, noise, estimate_noise, estimate_initial, seed, starts, build, use_compiler.
+    The choices are keywords, fields of `FitOptions` with its defaults, or `options` as a whole;
+    keywords go before it: predictor, criterion, solver, initialisation, disturbance, free, fixed,
+    per_flight, shared, values, priors, flight_priors, noise, estimate_noise, estimate_initial,
+    seed, starts, build, use_compiler.
 
-    predictor x criterion x solver x initialisation are names or objects (see greybox.estimation). `disturbance` names
-    the process-noise groups ("force", "torque") that also get a slowly varying disturbance state. Which parameters are
-    free, fixed, per flight or shared, start values, priors and noise levels: see
-    `greybox.estimation.problem.make_problem`. `initialisation`: "nominal", "noise" (start noise levels from the data),
-    "equation-error", "multistart" (`starts` random starts with `seed`) or "innovation" (a maximum likelihood fit in
-    innovation form first, whose estimates and noise levels the predictor proper starts from: what a predictor without
-    noise levels of its own wants). `progress(iteration, cost, decrement)` is
-    called every iteration. The result says whether the fit converged; a fit that did not never looks like one that did.
-    Raises `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a KeyboardInterrupt whose
-    `kept` is the `Fit` with the best values so far.
+    predictor x criterion x solver x initialisation are names or objects (see greybox.estimation).
+    `disturbance` names the process-noise groups ("force", "torque") that also get a slowly varying
+    disturbance state. Which parameters are free, fixed, per flight or shared, start values, priors
+    and noise levels: see `greybox.estimation.problem.make_problem`. `initialisation`: "nominal",
+    "noise" (start noise levels from the data), "equation-error", "multistart" (`starts` random
+    starts with `seed`) or "innovation" (a maximum likelihood fit in innovation form first, whose
+    estimates and noise levels the predictor proper starts from: what a predictor without noise
+    levels of its own wants). `progress(iteration, cost, decrement)` is called every iteration. The
+    result says whether the fit converged; a fit that did not never looks like one that did. Raises
+    `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a
+    KeyboardInterrupt whose `kept` is the `Fit` with the best values so far.
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
     dynamics = with_disturbance(model, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
+    _demand_considerable(dynamics, options)
     first: Fit | None = None
     if options.initialisation == "innovation":
-        first = fit(
-            model, data, options.but(predictor="innovation", initialisation="equation-error"), progress=progress
-        )
+        before = options.but(predictor="innovation", initialisation="equation-error", considered=())
+        first = fit(model, data, before, progress=progress)
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
         if first is not None:
-            found = {(u.name, u.flight): t for u, t in zip(first.problem.unknowns, first.theta, strict=True)}
+            found = {
+                (u.name, u.flight): t
+                for u, t in zip(first.problem.unknowns, first.theta, strict=True)
+            }
             start = np.array([found.get((u.name, u.flight), u.start) for u in problem.unknowns])
         else:
             start = _initialise(problem, options, solver)
-        start = predictor.approach(problem, start, progress)  # multiple shooting closes its gaps first
+        start = predictor.approach(
+            problem, start, progress
+        )  # multiple shooting closes its gaps first
         try:
             theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
@@ -92,33 +101,47 @@ def fit(
     return result
 
 
-def _considered_spread(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> FloatArray:
-    """What the stated errors of held parameters add to the covariance of the unknowns, (n, n).
-
-    A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian of the
-    problem in which it is free (consider covariance: Schmidt 1966, Application of state-space methods to
-    navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004, Statistical Orbit
-    Determination, ch. 6). Raises `ModelError` for one that is not held or has no stated error.
-    """
-    declared = {d.name: d for d in problem.dynamics.parameters}
+def _demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
+    """Raise `ModelError` for a considered parameter that is not held or has no stated error."""
+    declared = {d.name: d for d in dynamics.parameters}
     for name in options.considered:
         if name not in options.fixed or name not in declared:
             raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
         if not 0 < declared[name].sigma < np.inf:
             raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
+
+
+def _considered_spread(
+    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
+) -> FloatArray:
+    """What the stated errors of held parameters add to the covariance of the unknowns, (n, n).
+
+    A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian
+    of the problem in which it is free (consider covariance: Schmidt 1966, Application of
+    state-space methods to navigation problems, Advances in Control Systems 3; Tapley, Schutz and
+    Born 2004, Statistical Orbit Determination, ch. 6).
+    """
     fixed = tuple(n for n in options.fixed if n not in options.considered)
-    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed))
+    free = None if options.free is None else (*options.free, *options.considered)
+    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
     own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
-    base = dict(zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True))
+    base = dict(
+        zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True)
+    )
     at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
     places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
-    mine = np.array([places[u.name, u.flight] for u in problem.unknowns])
-    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own])
+    mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
+    others = np.array(
+        [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
+    )
     value = wide.evaluate(at)
-    if value.hessian is None:
+    if value.hessian is None or value.gradient is None:
         return np.zeros((problem.n, problem.n))
-    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine, mine)])
-    moves = -inverse @ value.hessian[np.ix_(mine, others)]
+    g = value.gradient[mine]
+    loose = ~(((theta <= problem.lower) & (g > 0)) | ((theta >= problem.upper) & (g < 0)))
+    moves = np.zeros((problem.n, others.size))
+    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
+    moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
     sigma = np.array([wide.unknowns[i].sigma for i in others])
     return (moves * sigma**2) @ moves.T
 
@@ -126,13 +149,20 @@ def _considered_spread(problem: Problem, data: Dataset, options: FitOptions, the
 def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
     """The choices as in fit.json."""
     return {
-        "predictor": problem.predictor.name, "criterion": problem.criterion.name,
-        "solver": options.chosen_solver().name, "initialisation": options.initialisation,
-        "disturbance": list(options.disturbance), "estimate_noise": options.estimate_noise, "seed": options.seed,
-        "per_flight": sorted({u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}),
+        "predictor": problem.predictor.name,
+        "criterion": problem.criterion.name,
+        "solver": options.chosen_solver().name,
+        "initialisation": options.initialisation,
+        "disturbance": list(options.disturbance),
+        "estimate_noise": options.estimate_noise,
+        "seed": options.seed,
+        "per_flight": sorted(
+            {u.name for u in problem.unknowns if u.kind == "parameter" and u.flight}
+        ),
         "fixed": sorted({d.name for d in problem.dynamics.parameters} - set(problem.engine.active)),
-        "compiled": problem.engine.compiled, "considered": sorted(options.considered),
-    }  # fmt: skip
+        "compiled": problem.engine.compiled,
+        "considered": sorted(options.considered),
+    }
 
 
 def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatArray:
@@ -155,33 +185,61 @@ def _initialise(problem: Problem, options: FitOptions, solver: Solver) -> FloatA
         from greybox.estimation.multistart import multistart
 
         return multistart(problem, solver, n=options.starts, seed=options.seed).theta[0]
-    raise UnknownNameError("initialisation", how, ("nominal", "noise", "equation-error", "multistart", "innovation"))
+    raise UnknownNameError(
+        "initialisation", how, ("nominal", "noise", "equation-error", "multistart", "innovation")
+    )
 
 
 def noise_of(model: IdentifiedModel) -> dict[str, float]:
     """Noise levels of a model under the names that `noise` takes."""
     d = model.dynamics
-    process = dict(zip((f"noise.process.{n}" for n in d.noises.names), model.process_noise.tolist(), strict=True))
-    sensor = dict(zip((f"noise.sensor.{n}" for n in d.innovations.names), model.sensor_noise.tolist(), strict=True))
+    process = dict(
+        zip(
+            (f"noise.process.{n}" for n in d.noises.names),
+            model.process_noise.tolist(),
+            strict=True,
+        )
+    )
+    sensor = dict(
+        zip(
+            (f"noise.sensor.{n}" for n in d.innovations.names),
+            model.sensor_noise.tolist(),
+            strict=True,
+        )
+    )
     return process | sensor
 
 
 def _finish(
-    problem: Problem, data: Dataset, theta: FloatArray, status: Status, began: float, settings: Mapping[str, Any],
+    problem: Problem,
+    data: Dataset,
+    theta: FloatArray,
+    status: Status,
+    began: float,
+    settings: Mapping[str, Any],
     added: FloatArray | None = None,
-) -> Fit:  # fmt: skip
-    """Errors, identifiability and the identified model at the solution; `added` (n, n) joins the covariance."""
-    # Scores are summed over stretches longer than the errors' correlation: half a second, twice the window of a
-    # predictor that looks further ahead.
+) -> Fit:
+    """Errors, identifiability and the identified model at the solution; `added` (n, n) joins the
+    covariance."""
+    # Scores are summed over stretches longer than the errors' correlation: half a second, twice the
+    # window of a predictor that looks further ahead.
     ahead = max(problem.predictor.horizons)
-    block = max(block_samples(problem.dt), min(r.n for r in problem.records) // 200, 2 * ahead if ahead > 1 else 1)
+    block = max(
+        block_samples(problem.dt),
+        min(r.n for r in problem.records) // 200,
+        2 * ahead if ahead > 1 else 1,
+    )
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
-    precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns])
+    precision = np.array(
+        [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns]
+    )
     if value.gradient is None or value.hessian is None or value.data_hessian is None:
         n = problem.n
         held = np.zeros(n, dtype=bool)
-        spread = Covariance(fisher=np.full((n, n), np.nan), sandwich=np.full((n, n), np.nan), blocks=0)
+        spread = Covariance(
+            fisher=np.full((n, n), np.nan), sandwich=np.full((n, n), np.nan), blocks=0
+        )
         data_hessian = np.zeros((n, n))
     else:
         g = value.gradient
@@ -194,7 +252,9 @@ def _finish(
             more = added * np.outer(free_rows, free_rows)
             spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
-            warnings.append("the solver stopped at its own tolerance, but a full step would still lower the cost")
+            warnings.append(
+                "the solver stopped at its own tolerance, but a full step would still lower the cost"
+            )
     one_step = problem.predictor.one_step
     blocks = list(one_step.blocks(problem, theta, False)) if value.valid else []
     innovations: dict[str, list[FloatArray]] = {}
@@ -217,14 +277,18 @@ def _finish(
     gaps = _gappy(problem)
     if gaps and problem.predictor.name == "innovation":
         warnings.append(
-            f"{', '.join(gaps)} missing in more than 5 % of the samples: the stationary gain assumes that they are there; "
-            "use the kalman predictor"
+            f"{', '.join(gaps)} missing in more than 5 % of the samples, without a rhythm: the gain assumes that they are "
+            "there; use the kalman predictor"
         )
     total_held = sum(r.held for r in problem.records)
     if total_held:
-        warnings.append(f"{total_held} missing command or voltage cells were held from the sample before")
+        warnings.append(
+            f"{total_held} missing command or voltage cells were held from the sample before"
+        )
     if coloured and not spread.enough:
-        warnings.append("the innovations are coloured and the flights too short to correct the errors for it")
+        warnings.append(
+            "the innovations are coloured and the flights too short to correct the errors for it"
+        )
     if not problem.engine.compiled:
         warnings.append("no C compiler was used: CasADi's VM ran the same equations, slower")
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
@@ -233,7 +297,9 @@ def _finish(
     combinations = unidentified(information, labels, [theta[i] for i in keep])
     for c in combinations:
         decided = any(np.isfinite(problem.unknowns[keep[labels.index(n)]].sigma) for n in c.names)
-        warnings.append(f"not identified by these data: {c.text}" + ("; the priors decide" if decided else ""))
+        warnings.append(
+            f"not identified by these data: {c.text}" + ("; the priors decide" if decided else "")
+        )
     shared = [i for i in keep if problem.unknowns[i].flight is None]
     names = tuple(problem.unknowns[i].name for i in shared)
     cov = matrix[np.ix_(shared, shared)]
@@ -247,35 +313,60 @@ def _finish(
     model = _identified(problem, data, theta, estimates, names, cov, whitened)
     return Fit(
         estimates=Estimates(
-            model=model, parameters=estimates, derived=_derived(problem, theta, matrix), noise=noise,
-            correlation_names=names, correlations=correlation(cov), theta=theta,
+            model=model,
+            parameters=estimates,
+            derived=_derived(problem, theta, matrix),
+            noise=noise,
+            correlation_names=names,
+            correlations=correlation(cov),
+            theta=theta,
         ),
         diagnostics=Diagnostics(
-            status=replace(status, seconds=time.perf_counter() - began), cost=value.cost, loglik=-value.likelihood,
-            unidentifiable=combinations, innovations=innovations, coloured=coloured, covariance=spread,
+            status=replace(status, seconds=time.perf_counter() - began),
+            cost=value.cost,
+            loglik=-value.likelihood,
+            unidentifiable=combinations,
+            innovations=innovations,
+            coloured=coloured,
+            covariance=spread,
             warnings=tuple(warnings),
         ),
         provenance=Provenance(
-            problem=problem, settings=settings, data_hash=data.hash, n_samples=n_samples, n_parameters=len(free),
+            problem=problem,
+            settings=settings,
+            data_hash=data.hash,
+            n_samples=n_samples,
+            n_parameters=len(free),
             flights=tuple(
-                {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)} for f in data.flights
+                {"name": f.name, "samples": f.n, "seconds": f.duration, "notes": list(f.notes)}
+                for f in data.flights
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _gappy(problem: Problem, share: float = 0.05) -> list[str]:
-    """Innovation components that are missing in more than `share` of the samples, yet not always."""
-    seen = np.concatenate([r.mask for r in problem.records]).mean(axis=0)
-    return [n for n, s in zip(problem.dynamics.innovations.names, seen, strict=True) if 0 < s < 1 - share]
+    """Innovation components that are missing in more than `share` of the samples where the record's
+    pattern has them."""
+    total = sum(r.n for r in problem.records)
+    lost = sum((r.usual.at(r.n) & (r.mask == 0)).sum(axis=0) for r in problem.records) / total
+    seen = np.concatenate([r.mask for r in problem.records]).sum(axis=0) > 0
+    return [
+        n
+        for n, s, v in zip(problem.dynamics.innovations.names, lost, seen, strict=True)
+        if v and s > share
+    ]
 
 
 def _label(u: Unknown) -> str:
     return u.name if u.flight is None else f"{u.name} ({u.flight})"
 
 
-def _without_priors(problem: Problem, hessian: FloatArray | None, precision: FloatArray, held: BoolArray) -> FloatArray:
-    """Variance of every unknown with the priors of all model parameters taken away (n,); infinite where data are silent."""
+def _without_priors(
+    problem: Problem, hessian: FloatArray | None, precision: FloatArray, held: BoolArray
+) -> FloatArray:
+    """Variance of every unknown with the priors of all model parameters taken away (n,); infinite
+    where data are silent."""
     out = np.full(problem.n, np.inf)
     if hessian is None:
         return out
@@ -287,7 +378,12 @@ def _without_priors(problem: Problem, hessian: FloatArray | None, precision: Flo
 
 
 def _estimates(
-    problem: Problem, theta: FloatArray, matrix: FloatArray, fisher: FloatArray, held: BoolArray, alone: FloatArray
+    problem: Problem,
+    theta: FloatArray,
+    matrix: FloatArray,
+    fisher: FloatArray,
+    held: BoolArray,
+    alone: FloatArray,
 ) -> dict[str, Estimate]:
     out: dict[str, Estimate] = {}
     by_name: dict[str, list[int]] = {}
@@ -309,13 +405,20 @@ def _estimates(
         shares = [1.0 - fisher[i, i] / alone[i] if alone[i] > 0 else 0.0 for i in known]
         influence = float(np.clip(np.mean(shares), 0.0, 1.0)) if shares else 0.0
         common: dict[str, Any] = {
-            "name": d.name, "unit": d.unit, "prior": (first.mean, first.sigma) if has_prior else None,
-            "prior_influence": influence, "at_bound": bool(held[places].any()),
-        }  # fmt: skip
+            "name": d.name,
+            "unit": d.unit,
+            "prior": (first.mean, first.sigma) if has_prior else None,
+            "prior_influence": influence,
+            "at_bound": bool(held[places].any()),
+        }
         if first.flight is None:
             i = places[0]
             out[d.name] = Estimate(
-                value=float(theta[i]), std=std(matrix, i), std_fisher=std(fisher, i), scope="shared", **common
+                value=float(theta[i]),
+                std=std(matrix, i),
+                std_fisher=std(fisher, i),
+                scope="shared",
+                **common,
             )
             continue
         each = {str(problem.unknowns[i].flight): (float(theta[i]), std(matrix, i)) for i in places}
@@ -323,7 +426,9 @@ def _estimates(
         loose = [i for i in places if not held[i]]
         out[d.name] = Estimate(
             value=float(numbers.mean()),
-            std=max(_mean_error(matrix, loose), _between(numbers) / np.sqrt(numbers.size)) if loose else float("nan"),
+            std=max(_mean_error(matrix, loose), _between(numbers) / np.sqrt(numbers.size))
+            if loose
+            else float("nan"),
             std_fisher=_mean_error(fisher, loose) if loose else float("nan"),
             scope="flight",
             per_flight=each,
@@ -343,8 +448,11 @@ def _between(numbers: FloatArray) -> float:
     return float(numbers.std(ddof=1)) if numbers.size > 1 else 0.0
 
 
-def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[str, tuple[float, float]]:
-    """Derived parameters with standard errors by the delta method (per-flight ones for each flight)."""
+def _derived(
+    problem: Problem, theta: FloatArray, matrix: FloatArray
+) -> dict[str, tuple[float, float]]:
+    """Derived parameters with standard errors by the delta method (per-flight ones for each
+    flight)."""
     physics = physics_of(problem.dynamics)
     if physics is None:
         return {}
@@ -353,7 +461,9 @@ def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[st
     if not table:
         return {}
     vector = ca.vertcat(*table.values())
-    function = ca.Function("derived", [p], [vector, ca.jacobian(vector, p)[:, problem.engine.active_index.tolist()]])
+    function = ca.Function(
+        "derived", [p], [vector, ca.jacobian(vector, p)[:, problem.engine.active_index.tolist()]]
+    )
     out: dict[str, tuple[float, float]] = {}
     own = {u.name.split(".")[0] for u in problem.unknowns if u.flight and u.kind == "parameter"}
     for flight in (None, *problem.flights):
@@ -373,9 +483,14 @@ def _derived(problem: Problem, theta: FloatArray, matrix: FloatArray) -> dict[st
 
 
 def _identified(
-    problem: Problem, data: Dataset, theta: FloatArray, estimates: Mapping[str, Estimate], names: tuple[str, ...],
-    cov: FloatArray, innovations: list[FloatArray],
-) -> IdentifiedModel:  # fmt: skip
+    problem: Problem,
+    data: Dataset,
+    theta: FloatArray,
+    estimates: Mapping[str, Estimate],
+    names: tuple[str, ...],
+    cov: FloatArray,
+    innovations: list[FloatArray],
+) -> IdentifiedModel:
     d = problem.dynamics
     values = {p.name: float(problem.base[i]) for i, p in enumerate(d.parameters)}
     values |= {n: e.value for n, e in estimates.items()}
@@ -406,8 +521,19 @@ def _identified(
                     low, high = domain.get(n, (np.inf, -np.inf))
                     domain[n] = (min(low, float(seen.min())), max(high, float(seen.max())))
     return IdentifiedModel(
-        dynamics=d, values=ParameterValues(values), covariance_names=names, covariance=cov, per_flight=per_flight,
-        flight_spread=spread, process_noise=process, sensor_noise=sensor,
-        weak=100.0 * np.max([r.x0_sigma for r in problem.records], axis=0), reference_state=x_ref, reference_inputs=u_ref,
-        sample_time=problem.dt, domain=domain, data_hash=data.hash, trained_on=problem.flights,
-    )  # fmt: skip
+        dynamics=d,
+        values=ParameterValues(values),
+        covariance_names=names,
+        covariance=cov,
+        per_flight=per_flight,
+        flight_spread=spread,
+        process_noise=process,
+        sensor_noise=sensor,
+        weak=100.0 * np.max([r.x0_sigma for r in problem.records], axis=0),
+        reference_state=x_ref,
+        reference_inputs=u_ref,
+        sample_time=problem.dt,
+        domain=domain,
+        data_hash=data.hash,
+        trained_on=problem.flights,
+    )

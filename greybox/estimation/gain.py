@@ -1,15 +1,18 @@
-"""Stationary Kalman gain of a linearised Dynamics, and its exact derivative with respect to all parameters.
+"""Stationary Kalman gain of a linearised Dynamics, and its exact derivative with respect to all
+parameters.
 
-Linearisation at a reference point, with process noise w ~ (0, Q) that enters state and output alike:
+Linearisation at a reference point, with process noise w ~ (0, Q) that enters state and output
+alike:
 
     d+ = A d + G w,   e = C d + D w + v,   v ~ (0, R)
     P = A P A' + G Q G' - K S K',   S = C P C' + D Q D' + R,   K = (A P C' + G Q D') S^-1
 
-(Anderson and Moore 1979, Optimal Filtering, ch. 4 and sec. 5.4 for correlated noise.) The Riccati equation is solved by
-structure-preserving doubling (Chu, Fan, Lin and Wang 2004, Int. J. Control 77(8)), its derivative by a Lyapunov equation
-through the closed loop A - K C (squared Smith iteration, Smith 1968). Directions that no sensor sees and no dynamics
-damps (heading without a compass) would make P infinite; a very weak pseudo-measurement of every error state keeps it
-finite without touching the gain of what is seen.
+(Anderson and Moore 1979, Optimal Filtering, ch. 4 and sec. 5.4 for correlated noise.) The Riccati
+equation is solved by structure-preserving doubling (Chu, Fan, Lin and Wang 2004, Int. J. Control
+77(8)), its derivative by a Lyapunov equation through the closed loop A - K C (squared Smith
+iteration, Smith 1968). Directions that no sensor sees and no dynamics damps (heading without a
+compass) would make P infinite; a very weak pseudo-measurement of every error state keeps it finite
+without touching the gain of what is seen.
 """
 
 from __future__ import annotations
@@ -32,7 +35,8 @@ from greybox.symbolic import CASADI, FloatArray
 
 
 class Linearisation:
-    """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active parameters.
+    """A, G, C, D of a Dynamics at one state and command, and their derivatives in the active
+    parameters.
 
     `fixed` as in `ReferenceStep`.
     """
@@ -53,7 +57,8 @@ class Linearisation:
         self._columns: npt.NDArray[np.int_] | None = None
 
     def select(self, columns: npt.NDArray[np.int_]) -> Linearisation:
-        """The same linearisation with the derivatives in some of its active parameters only, at `columns` among them."""
+        """The same linearisation with the derivatives in some of its active parameters only, at
+        `columns` among them."""
         if len(columns) == self._function.size2_out(1):
             return self
         some = copy.copy(self)
@@ -69,7 +74,9 @@ class Linearisation:
         slopes = slope if self._columns is None else slope[:, self._columns]
         return self._unpack(value[:, 0][:, None], False), self._unpack(slopes, True)
 
-    def values(self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float) -> tuple[FloatArray, ...]:
+    def values(
+        self, x: FloatArray, window: FloatArray, p: FloatArray, dt: float
+    ) -> tuple[FloatArray, ...]:
         """(A, G, C, D)."""
         with CASADI:
             value = self._value_only(x, window, p, dt).full()
@@ -88,7 +95,9 @@ class Linearisation:
 _built = once_per_model(Linearisation)
 
 
-def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray) -> Linearisation:
+def linearisation_at(
+    dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray
+) -> Linearisation:
     """The linearisation of a model for the state `x`, built once per process.
 
     `other` is the same kind of state from other data: where both agree the entry counts as fixed.
@@ -98,7 +107,8 @@ def linearisation_at(dynamics: Dynamics, active: tuple[str, ...], x: FloatArray,
 
 @dataclass(frozen=True, kw_only=True)
 class _Arrival:
-    """What a lost command adds to A P C' + G Q D' and to S at one sample, and the slopes of that."""
+    """What a lost command adds to A P C' + G Q D' and to S at one sample, and the slopes of
+    that."""
 
     N: FloatArray
     S: FloatArray
@@ -108,7 +118,8 @@ class _Arrival:
 
 @dataclass(frozen=True, kw_only=True)
 class GainRow:
-    """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_d, n_e, n_s), dS (n_s, ...)."""
+    """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_d, n_e,
+    n_s), dS (n_s, ...)."""
 
     K: FloatArray
     S: FloatArray
@@ -118,9 +129,11 @@ class GainRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Riccati:
-    """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that gains need.
+    """Solution at one point: covariance P (n_d, n_d) of the predicted state, and the pieces that
+    gains need.
 
-    `lost`: what lost commands add to the samples after them; `pieces` are A, C and, with slopes, dA, dC.
+    `lost`: what lost commands add to the samples after them; `pieces` are A, C and, with slopes,
+    dA, dC.
     """
 
     P: FloatArray
@@ -139,8 +152,8 @@ class Riccati:
         return 0 if self.lost is None else self.lost.felt
 
     def distinct(self, patterns: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """(patterns whose gains differ, which of them each of `patterns` is): a lost command reaches
-        few of the samples after it."""
+        """(patterns whose gains differ, which of them each of `patterns` is): a lost command
+        reaches few of the samples after it."""
         missing = patterns == 0
         kept = lost_bits(patterns) & self._felt
         few, which = np.unique(np.where(missing, 0.0, 1.0 + kept), axis=0, return_inverse=True)
@@ -148,7 +161,8 @@ class Riccati:
 
     @cached_property
     def _arrivals(self) -> list[_Arrival]:
-        """What one lost command adds at each sample after it that it reaches, see `greybox.estimation.lost_commands`."""
+        """What one lost command adds at each sample after it that it reaches, see
+        `greybox.estimation.lost_commands`."""
         assert self.lost is not None
         a, c, *slopes = self.pieces
         b, h = self.lost.B, self.lost.H
@@ -158,7 +172,9 @@ class Riccati:
         dx = db = dh = np.zeros((0, 1, *x.shape))
         if sloped:
             da, dc = slopes
-            db, dh, dearly = (extended(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly))
+            db, dh, dearly = (
+                extended(v, len(da)) for v in (self.lost.dB, self.lost.dH, self.lost.dearly)
+            )
             dx, dweight = db[:, 0] + da @ early + a @ dearly, extended(dweight, len(da))
         for i in range(self._felt.bit_length()):
             e, f = c @ x + h[i + 1], a @ x + b[i + 1]
@@ -179,7 +195,8 @@ class Riccati:
         return made
 
     def _after_lost(self, bits: int) -> Riccati:
-        """The pieces at a sample that feels the lost commands of the rows in `bits` (bit i: the row before the last i)."""
+        """The pieces at a sample that feels the lost commands of the rows in `bits` (bit i: the row
+        before the last i)."""
         new = [v for i, v in enumerate(self._arrivals) if bits >> i & 1]
         n_, s = self.N + sum(v.N for v in new), self.S + sum(v.S for v in new)
         if self.dN is None or self.dS is None:
@@ -196,10 +213,14 @@ class Riccati:
             self._rows[key] = GainRow(K=k, S=s, dK=turned, dS=ds)
         return self._rows[key]
 
-    def gain(self, there: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
-        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured, as in `Record.patterns`.
+    def gain(
+        self, there: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
+        """(K, S, dK, dS) where only the channels with there[i] != 0 are measured, as in
+        `Record.patterns`.
 
-        K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both keep their size.
+        K (n_d, n_e) has zero columns for the others, S (n_e, n_e) unit diagonal there, so that both
+        keep their size.
         """
         m = np.asarray(there) != 0
         bits = int(lost_bits(np.asarray(there)).max(initial=0)) & self._felt
@@ -215,7 +236,9 @@ class Riccati:
         ds = np.zeros_like(self.dS)
         ds[:, m[:, None] & m[None, :]] = self.dS[:, m[:, None] & m[None, :]]
         dk = np.zeros_like(self.dN)
-        k[:, m], dk[:, :, m] = _gain(self.N[:, m], s[np.ix_(m, m)], self.dN[:, :, m], ds[:, m][:, :, m])
+        k[:, m], dk[:, :, m] = _gain(
+            self.N[:, m], s[np.ix_(m, m)], self.dN[:, :, m], ds[:, m][:, :, m]
+        )
         return k, s, dk, ds
 
 
@@ -229,9 +252,16 @@ def _gain(
 
 
 def solve_riccati(
-    a: FloatArray, g: FloatArray, c: FloatArray, d: FloatArray, q: FloatArray, r: FloatArray, weak: FloatArray
+    a: FloatArray,
+    g: FloatArray,
+    c: FloatArray,
+    d: FloatArray,
+    q: FloatArray,
+    r: FloatArray,
+    weak: FloatArray,
 ) -> FloatArray:
-    """Stabilising P of the filter Riccati equation. q (n_w), r (n_e) are variances; weak (n_d) that of the pseudo-sensor.
+    """Stabilising P of the filter Riccati equation. q (n_w), r (n_e) are variances; weak (n_d) that
+    of the pseudo-sensor.
 
     Raises `FitError` where the doubling does not converge.
     """
@@ -286,10 +316,12 @@ def stationary(
     dr: FloatArray | None = None,
     lost: Pushes | None = None,
 ) -> Riccati:
-    """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its derivatives.
+    """Riccati solution and, with `slopes` (dA, dG, dC, dD) and dq (n_s, n_w), dr (n_s, n_e), its
+    derivatives.
 
-    The first axis of all derivatives is the same list of parameters; slopes of model parameters may be shorter (the
-    remaining parameters are noise levels, which do not move A, G, C, D); those of `lost` too.
+    The first axis of all derivatives is the same list of parameters; slopes of model parameters may
+    be shorter (the remaining parameters are noise levels, which do not move A, G, C, D); those of
+    `lost` too.
     """
     a, g, c, d = values
     p = solve_riccati(a, g, c, d, q, r, weak)
@@ -314,10 +346,11 @@ def stationary(
 
 @dataclass(frozen=True, kw_only=True)
 class SystemSamples:
-    """Linear system seen sample by sample: what gains need, from the covariance of the predicted state there.
+    """Linear system seen sample by sample: what gains need, from the covariance of the predicted
+    state there.
 
-    values (A, G, C, D), q, r, slopes, dq, dr, lost as in `stationary`. N and S are P times something and what does not
-    depend on P, which is made once.
+    values (A, G, C, D), q, r, slopes, dq, dr, lost as in `stationary`. N and S are P times
+    something and what does not depend on P, which is made once.
     """
 
     values: tuple[FloatArray, ...]
@@ -335,7 +368,8 @@ class SystemSamples:
 
     @cached_property
     def _slopes(self) -> tuple[FloatArray, ...] | None:
-        """dA, dC of the model's parameters alone; dA, dC, and the slopes of what does not depend on P, of all unknowns."""
+        """dA, dC of the model's parameters alone; dA, dC, and the slopes of what does not depend on
+        P, of all unknowns."""
         if self.slopes is None or self.dq is None or self.dr is None:
             return None
         (_, g, _, d), q, n = self.values, self.q, self.dq.shape[0]
@@ -347,7 +381,8 @@ class SystemSamples:
         return self.slopes[0], self.slopes[2], da, dc, dn, ds
 
     def at(self, p: FloatArray, dp: FloatArray | None = None) -> Riccati:
-        """The solution where the predicted state has the covariance `p` (n_d, n_d) with slopes `dp` (n_s, n_d, n_d)."""
+        """The solution where the predicted state has the covariance `p` (n_d, n_d) with slopes `dp`
+        (n_s, n_d, n_d)."""
         a, _, c, _ = self.values
         pc = p @ c.T
         n_, s = a @ pc + self._fixed[0], c @ pc + self._fixed[1]
@@ -355,10 +390,12 @@ class SystemSamples:
             return Riccati(P=p, N=n_, S=s, lost=self.lost, pieces=(a, c))
         da, dc, *every, fixed_n, fixed_s = self._slopes
         own = len(da)
-        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), -1)
+        dpc = (dp.reshape(-1, len(p)) @ c.T).reshape(len(dp), len(p), len(c))
         dn, ds = fixed_n + a @ dpc, fixed_s + c @ dpc
-        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), -1)
-        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), -1) + (a @ p) @ dc.transpose(0, 2, 1)
+        half = (dc.reshape(-1, len(p)) @ pc).reshape(own, len(c), len(c))
+        dn[:own] += (da.reshape(-1, len(p)) @ pc).reshape(own, len(p), len(c)) + (
+            a @ p
+        ) @ dc.transpose(0, 2, 1)
         ds[:own] += half + half.transpose(0, 2, 1)
         return Riccati(P=p, N=n_, S=s, dP=dp, dN=dn, dS=ds, lost=self.lost, pieces=(a, c, *every))
 

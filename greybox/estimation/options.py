@@ -1,9 +1,9 @@
 """FitOptions: all choices of a fit in one frozen record, which is handed on whole.
 
-    options = FitOptions(predictor="kalman", fixed=("mass",))
-    fit(model, data, options)
-    fit(model, data, predictor="kalman", fixed=["mass"])  # the same
-    options.but(seed=1).command_line()
+options = FitOptions(predictor="kalman", fixed=("mass",))
+fit(model, data, options)
+fit(model, data, predictor="kalman", fixed=["mass"])  # the same
+options.but(seed=1).command_line()
 """
 
 from __future__ import annotations
@@ -26,15 +26,26 @@ F = TypeVar("F", bound=Callable[..., object])
 Options = TypeVar("Options", bound="DataclassInstance")
 
 _FLAGS = {
-    "predictor": "--predictor", "criterion": "--criterion", "solver": "--solver",
-    "initialisation": "--init", "disturbance": "--disturbance", "free": "--free",
-    "fixed": "--fixed", "considered": "--considered", "per_flight": "--per-flight",
-    "shared": "--shared", "values": "--value", "noise": "--noise", "estimate_noise": "--hold-noise", "seed": "--seed",
+    "predictor": "--predictor",
+    "criterion": "--criterion",
+    "solver": "--solver",
+    "initialisation": "--init",
+    "disturbance": "--disturbance",
+    "free": "--free",
+    "fixed": "--fixed",
+    "considered": "--considered",
+    "per_flight": "--per-flight",
+    "shared": "--shared",
+    "values": "--value",
+    "noise": "--noise",
+    "estimate_noise": "--hold-noise",
+    "seed": "--seed",
 }
 
 
 class FitChoices(TypedDict, total=False):
-    """The keywords of `fit` and `make_problem`: the fields of `FitOptions`, which says what they mean."""
+    """The keywords of `fit` and `make_problem`: the fields of `FitOptions`, which says what they
+    mean."""
 
     predictor: str | Predictor[object]
     criterion: str | Criterion
@@ -60,7 +71,8 @@ class FitChoices(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """All choices of a fit. Options are equal where all choices are; they hold copies of what was given."""
+    """All choices of a fit. Options are equal where all choices are; they hold copies of what was
+    given."""
 
     predictor: str | Predictor[object] = "innovation"
     """Name in `PREDICTORS`, or the object: turns unknowns into residuals."""
@@ -78,8 +90,8 @@ class FitOptions:
     fixed: tuple[str, ...] = ()
     """Parameters that are held at their value."""
     considered: tuple[str, ...] = ()
-    """Of the fixed parameters those whose stated uncertainty widens the errors of the others (they have a
-    prior): held, yet not believed to be exact."""
+    """Of the fixed parameters those whose stated uncertainty widens the errors of the others (they
+    have a prior): held, yet not believed to be exact."""
     per_flight: tuple[str, ...] = ()
     """Parameters with one value per flight, besides those whose declared scope is flight."""
     shared: tuple[str, ...] = ()
@@ -102,8 +114,8 @@ class FitOptions:
     starts: int = 8
     """Random starts of "multistart"."""
     build: tuple[str, ...] | None = None
-    """Parameters that sensitivities are built for, at least the free ones; None: these. Fits of many
-    subsets share one build."""
+    """Parameters that sensitivities are built for, at least the free ones; None: these. Fits of
+    many subsets share one build."""
     use_compiler: bool = True
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
@@ -164,7 +176,8 @@ class FitOptions:
         """Flags of `greybox fit` for the choices that differ from the defaults.
 
         What the command has no flag for is left out: priors, starts, build, use_compiler,
-        estimate_initial, and the settings of a predictor, criterion or solver that was given as an object.
+        estimate_initial, and the settings of a predictor, criterion or solver that was given as an
+        object.
         """
         flags: list[str] = []
         for name, value in self.to_dict().items():
@@ -188,8 +201,8 @@ _DEFAULTS: Mapping[str, object] = vars(FitOptions())
 def chosen(kind: str, options: Options, choices: Mapping[str, object]) -> Options:
     """A frozen record of options with some `choices` in place of its own.
 
-    `kind` is what one of them is called. Raises `UnknownNameError` with the nearest names for a choice
-    that is no field.
+    `kind` is what one of them is called. Raises `UnknownNameError` with the nearest names for a
+    choice that is no field.
     """
     known = [f.name for f in fields(options)]
     for name in choices:
@@ -199,15 +212,21 @@ def chosen(kind: str, options: Options, choices: Mapping[str, object]) -> Option
 
 
 def says_choices(record: type[DataclassInstance]) -> Callable[[F], F]:
-    """Decorator of a function that takes **choices: its signature, as `help` shows it, lists the fields of `record`."""
+    """Decorator of a function that takes **choices: its signature, as `help` shows it, lists the
+    fields of `record`."""
 
     def decorate(function: F) -> F:
         signature = inspect.signature(function)
-        own = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        own = [
+            p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
         defaults = record()
         own += [
             inspect.Parameter(
-                f.name, inspect.Parameter.KEYWORD_ONLY, default=vars(defaults)[f.name], annotation=f.type
+                f.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=vars(defaults)[f.name],
+                annotation=f.type,
             )
             for f in fields(record)
         ]

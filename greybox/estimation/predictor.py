@@ -1,4 +1,5 @@
-"""Predictor: what a fit knows of the way from unknowns to residuals. Members are in greybox/estimation/predictors.
+"""Predictor: what a fit knows of the way from unknowns to residuals. Members are in
+greybox/estimation/predictors.
 
 A predictor says what it has by the properties below; nothing is found out by probing. What it works
 out once per problem is a frozen record of its own, which it gets back, typed, from the problem:
@@ -42,10 +43,10 @@ class Block:
     e (n, n_e) with zeros where mask (n, n_e) is 0; jacobian (n, n_e, n_s) or None; columns (n_s,)
     their places among the unknowns; covariance (n_pat, n_e, n_e) with unit diagonal for missing
     channels and its derivative (n_pat, n_s, n_e, n_e), or None where the criterion estimates the
-    weights itself; pattern (n,). A time-varying predictor gives decorrelated residuals instead, with
-    `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one `group` (n,)
-    share a variance of their own per channel; `weight` is what one row counts, `spacing` how many
-    samples lie between two rows of one group.
+    weights itself; pattern (n,). A time-varying predictor gives decorrelated residuals instead,
+    with `variance` (n, n_e; 1 where missing) and its derivative (n, n_e, n_s). Rows of one `group`
+    (n,) share a variance of their own per channel; `weight` is what one row counts, `spacing` how
+    many samples lie between two rows of one group.
     """
 
     record: Record
@@ -64,11 +65,12 @@ class Block:
 
 
 class Predictor(ABC, Generic[Prepared_co]):
-    """Turns unknowns into residuals. Abstract are `name`, `prepare` and `blocks`; the rest has defaults.
+    """Turns unknowns into residuals. Abstract are `name`, `prepare` and `blocks`; the rest has
+    defaults.
 
-    A predictor is a value: a frozen dataclass, or any object that can be hashed. Equal predictors share
-    what they prepare for a problem. Members are final: what two of them share is a base class without
-    instances.
+    A predictor is a value: a frozen dataclass, or any object that can be hashed. Equal predictors
+    share what they prepare for a problem. Members are final: what two of them share is a base class
+    without instances.
     """
 
     @property
@@ -83,16 +85,19 @@ class Predictor(ABC, Generic[Prepared_co]):
 
     @property
     def has_initial(self) -> bool:
-        """Whether initial states are unknowns of the fit; False: their prior is all that is used of them."""
+        """Whether initial states are unknowns of the fit; False: their prior is all that is used of
+        them."""
         return True
 
     @property
     def carries_starts(self) -> bool:
-        """Whether errors of the starts may be integrated out instead of being unknowns, see `told`."""
+        """Whether errors of the starts may be integrated out instead of being unknowns, see
+        `told`."""
         return False
 
     def told(self, problem: Problem) -> list[BoolArray]:
-        """Which initial errors (n_d,) of every record its filter carries as a covariance; none by default.
+        """Which initial errors (n_d,) of every record its filter carries as a covariance; none by
+        default.
 
         Asked only of a predictor that `carries_starts`, before the initial errors are among the
         unknowns of `problem`.
@@ -106,23 +111,28 @@ class Predictor(ABC, Generic[Prepared_co]):
 
     @property
     def one_step(self) -> Predictor[object]:
-        """The one-step filter that gives the innovations: of a predictor that looks further ahead the filter it starts
-        from, else itself."""
+        """The one-step filter that gives the innovations: of a predictor that looks further ahead
+        the filter it starts from, else itself."""
         return self
 
     @property
     def misfit_is_sensor_noise(self) -> bool:
-        """Whether all misfit counts as noise of the sensors, whose levels then are the RMS of the residuals."""
+        """Whether all misfit counts as noise of the sensors, whose levels then are the RMS of the
+        residuals."""
         return not self.has_noise and self.one_step is self
 
     @abstractmethod
     def prepare(self, problem: Problem) -> Prepared_co:
-        """Work that is done once per problem: a frozen record, which `problem.prepared(self)` hands back."""
+        """Work that is done once per problem: a frozen record, which `problem.prepared(self)` hands
+        back."""
 
     @abstractmethod
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
-        """Residuals of every record at `theta` (n,), in the order of the records. Raises `FitError`."""
+        """Residuals of every record at `theta` (n,), in the order of the records. Raises
+        `FitError`."""
 
-    def approach(self, problem: Problem, start: FloatArray, progress: Progress | None = None) -> FloatArray:
+    def approach(
+        self, problem: Problem, start: FloatArray, progress: Progress | None = None
+    ) -> FloatArray:
         """Unknowns (n,) that the solver starts from; by default `start`, unchanged."""
         return start

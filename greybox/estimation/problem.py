@@ -1,8 +1,9 @@
-"""Problem: the unknowns of a fit and its cost, gradient and Gauss-Newton Hessian. Solvers see only this.
+"""Problem: the unknowns of a fit and its cost, gradient and Gauss-Newton Hessian. Solvers see only
+this.
 
-Unknowns, in this order: shared model parameters; natural logarithms of noise levels; per-flight model parameters;
-errors of the initial state of every record that the predictor's filter does not carry. Priors are Gaussian and part of
-the cost (maximum a posteriori), bounds are hard.
+Unknowns, in this order: shared model parameters; natural logarithms of noise levels; per-flight
+model parameters; errors of the initial state of every record that the predictor's filter does not
+carry. Priors are Gaussian and part of the cost (maximum a posteriori), bounds are hard.
 """
 
 from __future__ import annotations
@@ -37,18 +38,20 @@ _S = TypeVar("_S")
 _T = TypeVar("_T")
 _P = TypeVar("_P")
 FEW = 60_000
-"""Samples below which sensitivities are compiled without optimisation: a dozen passes over them cost less than it takes."""
+"""Samples below which sensitivities are compiled without optimisation: a dozen passes over them
+cost less than it takes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """A fit as a minimisation. Build it with `make_problem`. Nothing in it changes; `dataclasses.replace` makes another.
+    """A fit as a minimisation. Build it with `make_problem`. Nothing in it changes;
+    `dataclasses.replace` makes another.
 
     `base` (n_p) are the values of all model parameters where they are not unknowns, `process_level`
     (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are parameters
-    that are felt of a larger step only (greybox.discovery.differences). `spreads` (n_d) per record are
-    the standard deviations of the initial errors that the predictor's filter carries, zero where they
-    are unknowns; None: its filter runs as if it always had.
+    that are felt of a larger step only (greybox.discovery.differences). `spreads` (n_d) per record
+    are the standard deviations of the initial errors that the predictor's filter carries, zero
+    where they are unknowns; None: its filter runs as if it always had.
     """
 
     dynamics: Dynamics
@@ -78,7 +81,8 @@ class Problem:
         self.prepared(self.predictor)  # now: threads that ask for it later find it
 
     def prepared(self, predictor: Predictor[_P]) -> _P:
-        """What `predictor` prepares for this problem: worked out once, and shared by equal predictors.
+        """What `predictor` prepares for this problem: worked out once, and shared by equal
+        predictors.
 
         Raises `ModelError` for a predictor that cannot be hashed.
         """
@@ -104,7 +108,9 @@ class Problem:
     @property
     def start(self) -> FloatArray:
         """Start values, with inertia that a body can have."""
-        return moved_inside(self.bodies, np.array([u.start for u in self.unknowns]), self.lower, self.upper)
+        return moved_inside(
+            self.bodies, np.array([u.start for u in self.unknowns]), self.lower, self.upper
+        )
 
     @property
     def lower(self) -> FloatArray:
@@ -127,11 +133,13 @@ class Problem:
         return MappingProxyType({(u.name, u.flight): i for i, u in enumerate(self.unknowns)})
 
     def place(self, name: str, flight: str | None = None) -> int | None:
-        """Index of an unknown (the flight's own copy, else the shared one), or None where it is fixed."""
+        """Index of an unknown (the flight's own copy, else the shared one), or None where it is
+        fixed."""
         return self.index.get((name, flight), self.index.get((name, None)))
 
     def parameters_of(self, theta: FloatArray, flight: str | None) -> FloatArray:
-        """The model's parameter vector p (n_p) for one flight; None: per-flight parameters at their base values."""
+        """The model's parameter vector p (n_p) for one flight; None: per-flight parameters at their
+        base values."""
         p = self.base.copy()
         for i, d in enumerate(self.dynamics.parameters):
             at = self.index.get((d.name, flight)) if flight is not None else None
@@ -166,7 +174,9 @@ class Problem:
     def initial_columns(self, record_index: int) -> IndexArray:
         """Places of these among the unknowns, (n_0,)."""
         tag, names = f"record {record_index}", self.dynamics.error_states.names
-        return np.array([self.index[(names[i], tag)] for i in self.initial_rows(record_index)], dtype=np.intp)
+        return np.array(
+            [self.index[(names[i], tag)] for i in self.initial_rows(record_index)], dtype=np.intp
+        )
 
     def initial_error(self, theta: FloatArray, record_index: int) -> FloatArray:
         """Initial error state (n_d,) of a record, zero where it is no unknown."""
@@ -183,7 +193,9 @@ class Problem:
         rows = self.initial_rows(record_index)
         if not rows.size:
             return self.records[record_index].x0, np.zeros((self.engine.nd, 0))
-        moved, slope = self.engine.moved(self.records[record_index].x0, self.initial_error(theta, record_index))
+        moved, slope = self.engine.moved(
+            self.records[record_index].x0, self.initial_error(theta, record_index)
+        )
         return moved, slope[:, rows]
 
     # ------------------------------------------------------------ cost
@@ -194,40 +206,52 @@ class Problem:
         return bodies_of(self)
 
     def inside(self, theta: FloatArray) -> FloatArray:
-        """`theta` (n,) moved to where it can be: within its bounds, with inertia that a body can have."""
+        """`theta` (n,) moved to where it can be: within its bounds, with inertia that a body can
+        have."""
         return moved_inside(self.bodies, theta, self.lower, self.upper)
 
     def evaluate(self, theta: FloatArray, order: int = 1, scores: int | None = None) -> Value:
-        """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that many samples."""
+        """Cost at `theta`; order 1 adds gradient and Hessian, `scores` the block scores of that
+        many samples."""
         limit = wall(self.bodies, theta)
         if not np.isfinite(limit.cost):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
         try:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                value = self.criterion.evaluate(self, self.predictor.blocks(self, theta, order > 0), order, scores)
+                value = self.criterion.evaluate(
+                    self, self.predictor.blocks(self, theta, order > 0), order, scores
+                )
         except (FitError, np.linalg.LinAlgError):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
         numbers = [v for v in (value.cost, value.gradient, value.hessian) if v is not None]
         if not all(np.isfinite(v).all() for v in numbers):
             return Value(cost=np.inf, likelihood=np.inf, valid=False)
         mean = np.array([u.mean for u in self.unknowns])
-        precision = np.array([0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns])
+        precision = np.array(
+            [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in self.unknowns]
+        )
         off = np.where(precision > 0, theta - mean, 0.0)
         cost = value.cost + limit.cost + 0.5 * float((precision * off * off).sum())
         if order == 0:
             return Value(cost=cost, likelihood=value.cost)
         assert value.gradient is not None and value.hessian is not None
         return Value(
-            cost=cost, likelihood=value.cost, gradient=value.gradient + limit.gradient + precision * off,
-            hessian=value.hessian + limit.hessian + np.diag(precision), data_hessian=value.hessian, scores=value.scores,
-        )  # fmt: skip
+            cost=cost,
+            likelihood=value.cost,
+            gradient=value.gradient + limit.gradient + precision * off,
+            hessian=value.hessian + limit.hessian + np.diag(precision),
+            data_hessian=value.hessian,
+            scores=value.scores,
+        )
 
     def map_records(self, work: Callable[[int], Block]) -> Iterator[Block]:
-        """`work(i)` for every record, in order, on all cores when the engine is compiled; a few ahead of who asks."""
+        """`work(i)` for every record, in order, on all cores when the engine is compiled; a few
+        ahead of who asks."""
         return self._ahead(work, range(len(self.records)))
 
     def map_blocks(self, work: Callable[[Block], _T], blocks: Iterable[Block]) -> Iterator[_T]:
-        """`work(block)` for every block, in order, on all cores when the engine is compiled; few blocks are kept."""
+        """`work(block)` for every block, in order, on all cores when the engine is compiled; few
+        blocks are kept."""
         return self._ahead(work, blocks)
 
     def _ahead(self, work: Callable[[_S], _T], items: Iterable[_S]) -> Iterator[_T]:
@@ -251,19 +275,24 @@ def few_samples(dataset: Dataset) -> bool:
 
 
 def make_problem(
-    dynamics: Dynamics, dataset: Dataset, options: FitOptions | None = None, **choices: Unpack[FitChoices]
+    dynamics: Dynamics,
+    dataset: Dataset,
+    options: FitOptions | None = None,
+    **choices: Unpack[FitChoices],
 ) -> Problem:
-    """Set up the unknowns of a fit from `options`, or from `choices` (its fields as keywords) on top of them.
+    """Set up the unknowns of a fit from `options`, or from `choices` (its fields as keywords) on
+    top of them.
 
-    Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`, less `fixed`; those
-    whose declared scope is flight, or that `per_flight` names, get one copy per flight (`shared` takes it back).
-    `values` are start values (and the values of fixed parameters), `priors` name -> (mean, sigma) replace declared ones,
-    `flight_priors` hold for every per-flight copy. `noise` gives levels by name, in SI units, for one component
-    ("noise.sensor.p") or a whole group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
-    `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps allow). `build` names
-    the parameters that sensitivities are built for, at least the free ones: fits of many subsets share one build.
-    Solver, initialisation and `disturbance` are matters of `fit` and not looked at here.
-    Raises `UnknownNameError`, `DataError`, `ModelError`.
+    Free are the parameters with a prior or without a stated value (sigma > 0), or exactly `free`,
+    less `fixed`; those whose declared scope is flight, or that `per_flight` names, get one copy per
+    flight (`shared` takes it back). `values` are start values (and the values of fixed parameters),
+    `priors` name -> (mean, sigma) replace declared ones, `flight_priors` hold for every per-flight
+    copy. `noise` gives levels by name, in SI units, for one component ("noise.sensor.p") or a whole
+    group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
+    `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps
+    allow). `build` names the parameters that sensitivities are built for, at least the free ones:
+    fits of many subsets share one build. Solver, initialisation and `disturbance` are matters of
+    `fit` and not looked at here. Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     o = FitOptions.of(options, choices)
     predictor, criterion = o.chosen_predictor(), o.chosen_criterion()
@@ -276,7 +305,9 @@ def make_problem(
                 raise UnknownNameError("parameter", n, declared)
         return names
 
-    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(dict(o.values))
+    values = ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
+        dict(o.values)
+    )
     held = set(known(o.fixed))
     chosen = (
         [d.name for d in dynamics.parameters if d.sigma > 0 and d.name not in held]
@@ -288,10 +319,14 @@ def make_problem(
     dt = sample_time(dataset)
     wanted = {*(chosen if o.build is None else known(o.build)), *known(o.considered)}
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
-    engine = engine_for(dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)).select(tuple(chosen))
+    engine = engine_for(
+        dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)
+    ).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)
-    unknowns = [_declared(declared[n], values[n], None, o.priors.get(n)) for n in chosen if n not in own]
+    unknowns = [
+        _declared(declared[n], values[n], None, o.priors.get(n)) for n in chosen if n not in own
+    ]
     process, sensor = _levels(dynamics, dt, o.noise)
     if o.estimate_noise and predictor.has_noise:
         unknowns += _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
@@ -299,40 +334,70 @@ def make_problem(
             unknowns += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
     for f in flights:
         unknowns += [
-            _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n))) for n in chosen if n in own
+            _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n)))
+            for n in chosen
+            if n in own
         ]
     starts = o.estimate_initial and predictor.has_initial
     every = [np.ones(engine.nd, dtype=bool)] * len(records)
-    initial = _initial_unknowns(dynamics, records, every) if starts and not predictor.carries_starts else []
+    initial = (
+        _initial_unknowns(dynamics, records, every)
+        if starts and not predictor.carries_starts
+        else []
+    )
     problem = Problem(
-        dynamics=dynamics, engine=engine, predictor=predictor, criterion=criterion, records=records,
-        unknowns=(*unknowns, *initial), base=np.array([values[d.name] for d in dynamics.parameters]), dt=dt,
-        means=channel_means(dataset), flights=flights, process_level=process, sensor_level=sensor,
+        dynamics=dynamics,
+        engine=engine,
+        predictor=predictor,
+        criterion=criterion,
+        records=records,
+        unknowns=(*unknowns, *initial),
+        base=np.array([values[d.name] for d in dynamics.parameters]),
+        dt=dt,
+        means=channel_means(dataset),
+        flights=flights,
+        process_level=process,
+        sensor_level=sensor,
         estimate_initial=bool(initial),
-    )  # fmt: skip
+    )
     if not starts or not predictor.carries_starts:
         return problem
     told = predictor.told(problem)
     initial = _initial_unknowns(dynamics, records, [~t for t in told])
     spreads = tuple(np.where(t, r.x0_sigma, 0.0) for t, r in zip(told, records, strict=True))
-    return replace(problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads)
+    return replace(
+        problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
+    )
 
 
-def _initial_unknowns(dynamics: Dynamics, records: Sequence[Record], chosen: Sequence[BoolArray]) -> list[Unknown]:
-    """The initial errors `chosen` (n_d,) of every record as unknowns, with their spread as prior."""
+def _initial_unknowns(
+    dynamics: Dynamics, records: Sequence[Record], chosen: Sequence[BoolArray]
+) -> list[Unknown]:
+    """The initial errors `chosen` (n_d,) of every record as unknowns, with their spread as
+    prior."""
     d = dynamics.error_states
     return [
         Unknown(
-            name=n, kind="initial", flight=f"record {k}", start=0.0, lower=-np.inf, upper=np.inf, mean=0.0,
-            sigma=float(s), scale=float(s), unit=u,
+            name=n,
+            kind="initial",
+            flight=f"record {k}",
+            start=0.0,
+            lower=-np.inf,
+            upper=np.inf,
+            mean=0.0,
+            sigma=float(s),
+            scale=float(s),
+            unit=u,
         )
         for k, r in enumerate(records)
         for n, u, s, c in zip(d.names, d.units, r.x0_sigma, chosen[k], strict=True)
         if c
-    ]  # fmt: skip
+    ]
 
 
-def _levels(dynamics: Dynamics, dt: float, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def _levels(
+    dynamics: Dynamics, dt: float, noise: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
     """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place."""
     process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
     known = [f"noise.process.{n}" for n in dynamics.noises.names]
@@ -352,15 +417,27 @@ def _levels(dynamics: Dynamics, dt: float, noise: Mapping[str, float]) -> tuple[
     return process, sensor
 
 
-def _noise_unknowns(prefix: str, signals: Layout, levels: FloatArray, spread: float) -> list[Unknown]:
+def _noise_unknowns(
+    prefix: str, signals: Layout, levels: FloatArray, spread: float
+) -> list[Unknown]:
     """Logarithms of noise levels as unknowns; `spread` is the sigma of their prior."""
     return [
         Unknown(
-            name=prefix + n, kind="noise", flight=None, start=c, lower=c - 12, upper=c + 8, mean=c, sigma=spread,
-            scale=1.0, unit=unit,
+            name=prefix + n,
+            kind="noise",
+            flight=None,
+            start=c,
+            lower=c - 12,
+            upper=c + 8,
+            mean=c,
+            sigma=spread,
+            scale=1.0,
+            unit=unit,
         )
-        for n, unit, c in zip(signals.names, signals.units, (float(np.log(v)) for v in levels), strict=True)
-    ]  # fmt: skip
+        for n, unit, c in zip(
+            signals.names, signals.units, (float(np.log(v)) for v in levels), strict=True
+        )
+    ]
 
 
 def _within(level: str, name: str) -> bool:
@@ -368,10 +445,20 @@ def _within(level: str, name: str) -> bool:
     return level == name or level.startswith(name + ".")
 
 
-def _declared(d: Parameter, value: float, flight: str | None, prior: tuple[float, float] | None) -> Unknown:
+def _declared(
+    d: Parameter, value: float, flight: str | None, prior: tuple[float, float] | None
+) -> Unknown:
     mean, sigma = prior if prior is not None else (d.nominal, d.sigma)
     start = min(max(value, d.lower), d.upper)
     return Unknown(
-        name=d.name, kind="parameter", flight=flight, start=start, lower=d.lower, upper=d.upper, mean=mean,
-        sigma=sigma if sigma > 0 else np.inf, scale=d.scale, unit=d.unit,
-    )  # fmt: skip
+        name=d.name,
+        kind="parameter",
+        flight=flight,
+        start=start,
+        lower=d.lower,
+        upper=d.upper,
+        mean=mean,
+        sigma=sigma if sigma > 0 else np.inf,
+        scale=d.scale,
+        unit=d.unit,
+    )

@@ -26,7 +26,12 @@ class Decision:
 
     def to_dict(self) -> dict[str, str]:
         """Plain values for fit.json."""
-        return {"about": self.about, "choice": self.choice, "reason": self.reason, "option": self.option}
+        return {
+            "about": self.about,
+            "choice": self.choice,
+            "reason": self.reason,
+            "option": self.option,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,11 +25,13 @@ SCHEMA = "greybox.fit/1"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning there).
+    """One estimated parameter. `std` is NaN at an active bound (a two-sided error has no meaning
+    there).
 
-    `prior_influence` is the share of the precision that the priors (of all parameters together) brought: 0 = the data
-    alone, 1 = the data say nothing. Of a per-flight parameter, `value` is the mean over flights and `std` the standard
-    error of that mean (at least what the spread between flights says).
+    `prior_influence` is the share of the precision that the priors (of all parameters together)
+    brought: 0 = the data alone, 1 = the data say nothing. Of a per-flight parameter, `value` is the
+    mean over flights and `std` the standard error of that mean (at least what the spread between
+    flights says).
     """
 
     name: str
@@ -46,19 +48,27 @@ class Estimate:
     def to_dict(self) -> dict[str, Any]:
         """As in fit.json."""
         return {
-            "value": self.value, "std": self.std, "std_fisher": self.std_fisher, "unit": self.unit, "scope": self.scope,
-            "prior": None if self.prior is None else {"value": self.prior[0], "sigma": self.prior[1]},
-            "prior_influence": self.prior_influence, "at_bound": self.at_bound,
+            "value": self.value,
+            "std": self.std,
+            "std_fisher": self.std_fisher,
+            "unit": self.unit,
+            "scope": self.scope,
+            "prior": None
+            if self.prior is None
+            else {"value": self.prior[0], "sigma": self.prior[1]},
+            "prior_influence": self.prior_influence,
+            "at_bound": self.at_bound,
             "per_flight": {k: {"value": v, "std": s} for k, (v, s) in self.per_flight.items()},
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimates:
     """The numbers that a fit is made for.
 
-    `derived` and `noise` map names to (value, std) and (level, std, unit); `correlations` (m, m) are
-    those of the shared parameters `correlation_names`; `theta` (n,) are all unknowns of the problem.
+    `derived` and `noise` map names to (value, std) and (level, std, unit); `correlations` (m, m)
+    are those of the shared parameters `correlation_names`; `theta` (n,) are all unknowns of the
+    problem.
     """
 
     model: IdentifiedModel
@@ -75,8 +85,8 @@ class Diagnostics:
     """What says how far the estimates can be trusted.
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
-    (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the whiteness
-    test, in which case `std` of the estimates is the sandwich one.
+    (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
+    whiteness test, in which case `std` of the estimates is the sandwich one.
     """
 
     status: Status
@@ -91,8 +101,9 @@ class Diagnostics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Provenance:
-    """What the fit was made of: `flights` and `settings` as in fit.json, `n_parameters` with noise levels. A fit that
-    was decided automatically holds its `recipe`, with which an explicit fit gives the same numbers, and the `decisions`."""
+    """What the fit was made of: `flights` and `settings` as in fit.json, `n_parameters` with noise
+    levels. A fit that was decided automatically holds its `recipe`, with which an explicit fit
+    gives the same numbers, and the `decisions`."""
 
     problem: Problem
     flights: tuple[Mapping[str, Any], ...]
@@ -106,7 +117,8 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """What a fit found. Holds no raw data; what the three records hold is there as attributes, too."""
+    """What a fit found. Holds no raw data; what the three records hold is there as attributes,
+    too."""
 
     estimates: Estimates
     diagnostics: Diagnostics
@@ -114,7 +126,9 @@ class Fit:
 
     def with_history(self, recipe: Recipe, decisions: tuple[Decision, ...]) -> Fit:
         """The same fit with the recipe it was made by and the decisions that led there."""
-        return replace(self, provenance=replace(self.provenance, recipe=recipe, decisions=decisions))
+        return replace(
+            self, provenance=replace(self.provenance, recipe=recipe, decisions=decisions)
+        )
 
     @property
     def verdict(self) -> Verdict | None:
@@ -206,6 +220,16 @@ class Fit:
         return self.diagnostics.warnings
 
     @property
+    def recipe(self) -> Recipe | None:
+        """What an explicit fit needs to give the same numbers; None where nothing was decided."""
+        return self.provenance.recipe
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """What was decided automatically, and why."""
+        return self.provenance.decisions
+
+    @property
     def problem(self) -> Problem:
         """The problem that was solved."""
         return self.provenance.problem
@@ -234,6 +258,7 @@ class Fit:
     def n_parameters(self) -> int:
         """Number of parameters and noise levels that were fitted."""
         return self.provenance.n_parameters
+
     @property
     def converged(self) -> bool:
         """Whether the optimum was reached."""
@@ -252,7 +277,8 @@ class Fit:
 
     @property
     def bic(self) -> float:
-        """Schwarz' information criterion, -2 log L + k ln N, N the number of samples (Schwarz 1978)."""
+        """Schwarz' information criterion, -2 log L + k ln N, N the number of samples (Schwarz
+        1978)."""
         return -2 * self.loglik + self.n_parameters * float(np.log(max(self.n_samples, 1)))
 
     def to_dict(self) -> dict[str, Any]:
@@ -263,28 +289,39 @@ class Fit:
             "schema": SCHEMA,
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
             "model": {
-                "name": d.name, "effects": list(self.model.effects), "states": list(d.states.names),
-                "inputs": list(d.inputs.names), "outputs": list(d.outputs.names), "sample_time": self.model.sample_time,
+                "name": d.name,
+                "effects": list(self.model.effects),
+                "states": list(d.states.names),
+                "inputs": list(d.inputs.names),
+                "outputs": list(d.outputs.names),
+                "sample_time": self.model.sample_time,
                 "omega_known": physics is None or physics.omega_known,
             },
             "settings": dict(self.settings),
             "status": self.status.to_dict(),
             "cost": {
-                "negative_log_posterior": self.cost, "loglik": self.loglik, "n_samples": self.n_samples,
-                "n_parameters": self.n_parameters, "aic": self.aic, "bic": self.bic,
+                "negative_log_posterior": self.cost,
+                "loglik": self.loglik,
+                "n_samples": self.n_samples,
+                "n_parameters": self.n_parameters,
+                "aic": self.aic,
+                "bic": self.bic,
             },
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
             "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
             "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
-            "correlations": {"names": list(self.correlation_names), "matrix": self.correlations.tolist()},
+            "correlations": {
+                "names": list(self.correlation_names),
+                "matrix": self.correlations.tolist(),
+            },
             "unidentifiable": [c.text for c in self.unidentifiable],
             "flights": [dict(f) for f in self.flights],
             "warnings": list(self.warnings),
             "data_hash": self.data_hash,
             "versions": library_versions(),
             **self._history(),
-        }  # fmt: skip
+        }
 
     def _history(self) -> dict[str, Any]:
         """Decisions and recipe of an automatic fit, as in fit.json."""
@@ -305,12 +342,18 @@ class Fit:
     def summary(self) -> str:
         """The estimates as text: the verdict first, then how the solver ended."""
         lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
-        if self.verdict is None and not self.converged:  # nothing vouches for these numbers: the failure comes first
+        if (
+            self.verdict is None and not self.converged
+        ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
-            extra = f"  (prior decides {100 * e.prior_influence:.0f} %)" if e.prior_influence > 0.2 else ""
+            extra = (
+                f"  (prior decides {100 * e.prior_influence:.0f} %)"
+                if e.prior_influence > 0.2
+                else ""
+            )
             scope = "  per flight" if e.scope == "flight" else ""
             lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
         lines += [f"not identified: {c.text}" for c in self.unidentifiable]

@@ -1,21 +1,25 @@
-"""Gains of a filter over a record: from the covariance that its start has until they have settled, then the settled ones.
+"""Gains of a filter over a record: from the covariance that its start has until they have settled,
+then the settled ones.
 
-The covariance of the predicted state runs on the linearisation at the reference point, from the spread of the start, over
-the samples with their channels (`greybox.estimation.elements`). It is followed sample by sample first, then at times that
-grow in proportion, each taken in the middle of the stretch of samples that it stands for: without process noise a filter
-never settles, its gain falls like 1/k (recursive least squares; Ljung 1999, System Identification, sec. 11.2), and
-log2(n) stretches with a few nodes each follow it. The nodes depend on sample numbers only, so that derivatives are exact.
+The covariance of the predicted state runs on the linearisation at the reference point, from the
+spread of the start, over the samples with their channels (`greybox.estimation.elements`). It is
+followed sample by sample first, then at times that grow in proportion, each taken in the middle of
+the stretch of samples that it stands for: without process noise a filter never settles, its gain
+falls like 1/k (recursive least squares; Ljung 1999, System Identification, sec. 11.2), and log2(n)
+stretches with a few nodes each follow it. The nodes depend on sample numbers only, so that
+derivatives are exact.
 
-Channels that come at a lower rate repeat in a pattern of L samples. The settled covariance is then periodic (Bittanti,
-Colaneri and De Nicolao 1991, The Riccati Equation, ch. 6): one per phase. Where channels are missing without a pattern
-the covariance is that of the channels that are usually there, and every sample gets the gain of those it has.
+Channels that come at a lower rate repeat in a pattern of L samples. The settled covariance is then
+periodic (Bittanti, Colaneri and De Nicolao 1991, The Riccati Equation, ch. 6): one per phase. Where
+channels are missing without a pattern the covariance is that of the channels that are usually
+there, and every sample gets the gain of those it has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -30,24 +34,33 @@ from greybox.estimation.record import Record
 from greybox.symbolic import BoolArray, FloatArray
 
 FIRST = 8
-"""SystemSamples at the start whose covariances are followed one by one."""
+"""Samples at the start whose covariances are followed one by one."""
 STRETCHES = 2
-"""Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth about its middle."""
+"""Stretches of one gain in every doubling of time after them: within one P ~ 1/k changes by a fifth
+about its middle."""
 PHASES = 1
 """The same where every stretch has a gain for each phase of a pattern."""
 SETTLED = 1e-6
-"""Relative difference to the settled gain from which on it is that one. A wrong gain costs the square of
-that."""
+"""Relative difference to the settled gain from which on it is that one. A wrong gain costs the
+square of that."""
 TOLD = 0.5
-"""Standard deviation of an error of the start, given all samples, in units of that without them, below which the
-linearisation tells it. Of the others (heading without a compass) the flight itself may tell more."""
+"""Standard deviation of an error of the start, given the first samples, in units of that without
+them, below which the filter carries it. Of the others (heading without a compass, tilt or velocity
+that show late) the linearisation knows too little: they are unknowns, and the flight itself tells
+them."""
+SOON = 0.1
+"""Seconds that count as first, as where records are made."""
+READINGS = 4
+"""Readings of every channel that count as first, at least."""
 NOTHING = 1e-6
-"""Share of the pseudo-measurement's spread (100 times that of a start) that counts as no error of a state."""
+"""Share of the pseudo-measurement's spread (100 times that of a start) that counts as no error of a
+state."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """SystemSamples `begin` to `end` whose covariances are those of the samples from `node` on, phase by phase."""
+    """Samples `begin` to `end` whose covariances are those of the samples from `node` on, phase by
+    phase."""
 
     begin: int
     end: int
@@ -55,19 +68,25 @@ class Stretch:
 
 
 def one_by_one(length: int) -> int:
-    """SystemSamples at the start that are followed one by one: at least `FIRST`, whole patterns of `length`."""
+    """Samples at the start that are followed one by one: at least `FIRST`, whole patterns of
+    `length`."""
     return -(-FIRST // length) * length
 
 
 def stretches(n: int, length: int) -> Iterator[Stretch]:
-    """The stretches of n samples with a pattern of `length`, see `FIRST`, `STRETCHES` and `PHASES`."""
+    """The stretches of n samples with a pattern of `length`, see `FIRST`, `STRETCHES` and
+    `PHASES`."""
     whole = one_by_one(length)
     for t in range(min(whole, n)):
         yield Stretch(begin=t, end=t + 1, node=t)
     count, part = whole // length, STRETCHES if length == 1 else PHASES
     while count * length < n:
         size = 1 << max(0, (count // part).bit_length() - 1)
-        yield Stretch(begin=count * length, end=min((count + size) * length, n), node=(count + size // 2) * length)
+        yield Stretch(
+            begin=count * length,
+            end=min((count + size) * length, n),
+            node=(count + size // 2) * length,
+        )
         count += size
 
 
@@ -75,7 +94,8 @@ def stretches(n: int, length: int) -> Iterator[Stretch]:
 class RecordGains:
     """Filter of one record: `solutions` and, for every sample, the row of the tables made of them.
 
-    `rows` (n_row) pairs of a solution's place and the channels there (as in `Record.patterns`); `pattern` (n,).
+    `rows` (n_row) pairs of a solution's place and the channels there (as in `Record.patterns`);
+    `pattern` (n,).
     """
 
     solutions: tuple[Riccati, ...]
@@ -83,7 +103,8 @@ class RecordGains:
     pattern: IntArray
 
     def tables(self, extra: int = 0) -> tuple[GainTable, FloatArray, FloatArray | None]:
-        """(gains, covariances (n_row, n_e, n_e), their slopes) with `extra` columns of zero slope appended."""
+        """(gains, covariances (n_row, n_e, n_e), their slopes) with `extra` columns of zero slope
+        appended."""
         parts = [self.solutions[i].row(there) for i, there in self.rows]
         k = np.array([v.K for v in parts])
         s = np.array([v.S for v in parts])
@@ -112,15 +133,18 @@ def held(solution: Riccati, record: Record) -> RecordGains:
     """The filter of a record with one covariance from its first sample to its last."""
     few, kind = solution.distinct(record.patterns)
     rows = tuple((0, there) for there in few)
-    return RecordGains(solutions=(solution,), rows=rows, pattern=kind[record.pattern].astype(np.int32))
+    return RecordGains(
+        solutions=(solution,), rows=rows, pattern=kind[record.pattern].astype(np.int32)
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Settling:
-    """The filter of one linear system, and how it gets there from a start. Not for several threads at once.
+    """The filter of one linear system, and how it gets there from a start. Not for several threads
+    at once.
 
-    values (A, G, C, D), q, r, weak, slopes, dq, dr, lost as in `greybox.estimation.gain.stationary`. Raises `FitError`
-    where there is no stationary filter.
+    values (A, G, C, D), q, r, weak, slopes, dq, dr, lost as in
+    `greybox.estimation.gain.stationary`. Raises `FitError` where there is no stationary filter.
     """
 
     values: tuple[FloatArray, ...]
@@ -140,12 +164,19 @@ class Settling:
         usual = pattern is None or bool(pattern.there.all())
         key = b"" if usual or pattern is None else pattern.there.tobytes()
         if key not in self._known:
-            self._known[key] = [self._always()] if usual or pattern is None else self._periodic(pattern)
+            if usual or pattern is None:
+                self._known[key] = [self._always()]
+            elif pattern.ahead:
+                # Flights whose slow channels come at other samples share what is the same.
+                same, n = self.settled(pattern.turned(pattern.ahead)), pattern.length
+                self._known[key] = [same[(j - pattern.ahead) % n] for j in range(n)]
+            else:
+                self._known[key] = self._periodic(pattern)
         return self._known[key]
 
     def gains(self, record: Record, spread: FloatArray | None) -> RecordGains:
-        """The filter of a record, from the standard deviations `spread` (n_d,) of the errors of its start; without them
-        as if it had always run."""
+        """The filter of a record, from the standard deviations `spread` (n_d,) of the errors of its
+        start; without them as if it had always run."""
         pattern = record.usual
         solutions = list(self.settled(pattern))
         node = np.arange(record.n) % len(solutions)
@@ -156,15 +187,21 @@ class Settling:
         few, kind = solutions[0].distinct(record.patterns)
         pairs, row = np.unique(node * len(few) + kind[record.pattern], return_inverse=True)
         rows = tuple((int(i) // len(few), few[int(i) % len(few)]) for i in pairs)
-        return RecordGains(solutions=tuple(solutions), rows=rows, pattern=row.ravel().astype(np.int32))
+        return RecordGains(
+            solutions=tuple(solutions), rows=rows, pattern=row.ravel().astype(np.int32)
+        )
 
     def _always(self) -> Riccati:
-        return stationary(self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost)
+        return stationary(
+            self.values, self.q, self.r, self.weak, self.slopes, self.dq, self.dr, self.lost
+        )
 
     def told(self, record: Record) -> BoolArray:
-        """Which errors of a record's start (n_d,) its samples tell, as far as the linearisation knows."""
+        """Which errors of a record's start (n_d,) its first samples tell, as far as the
+        linearisation knows."""
         pattern = record.usual
-        e = self.cycle(pattern, max(0, (record.n // pattern.length).bit_length() - 1))
+        cycles = max(READINGS, round(SOON / record.dt) // pattern.length)
+        e = self.cycle(pattern, (cycles - 1).bit_length())
         sigma = record.x0_sigma / self._unit
         # The pseudo-measurement tells nothing of a start: it is a hundred times as wide.
         after = np.linalg.inv(np.eye(sigma.size) + sigma[:, None] * e.G * sigma)
@@ -172,17 +209,23 @@ class Settling:
 
     # ------------------------------------------------------------ covariances
 
-    @cached_property
+    @functools.cached_property
     def _samples(self) -> SystemSamples:
         return SystemSamples(
-            values=self.values, q=self.q, r=self.r, slopes=self.slopes, dq=self.dq, dr=self.dr, lost=self.lost
-        )  # fmt: skip
+            values=self.values,
+            q=self.q,
+            r=self.r,
+            slopes=self.slopes,
+            dq=self.dq,
+            dr=self.dr,
+            lost=self.lost,
+        )
 
-    @cached_property
+    @functools.cached_property
     def _unit(self) -> FloatArray:
         return np.sqrt(self.weak)
 
-    @cached_property
+    @functools.cached_property
     def _system(self) -> System:
         a, g, c, d = self.values
         slopes = None
@@ -207,13 +250,17 @@ class Settling:
             return self.element(pattern.there[0], times)
         known = self._elements.setdefault(b"cycle" + pattern.there.tobytes(), [])
         if not known:
-            whole = self.element(pattern.there[0])
-            for there in pattern.there[1:]:
-                whole = whole.then(self.element(there))
-            known.append(whole)
+            steps = [
+                e for begin, size in pattern.runs for e in self._steps(pattern.there[begin], size)
+            ]
+            known.append(functools.reduce(Element.then, steps))
         while len(known) <= times:
             known.append(known[-1].then(known[-1]))
         return known[times]
+
+    def _steps(self, there: BoolArray, count: int) -> list[Element]:
+        """Elements that together are `count` samples with the channels `there`."""
+        return [self.element(there, i) for i in range(count.bit_length()) if count >> i & 1]
 
     def solution(self, p: FloatArray, dp: FloatArray | None) -> Riccati:
         """What gains need from `p` and `dp` in units of the pseudo-measurement."""
@@ -237,23 +284,33 @@ class Settling:
         _, dp = cycle.moved(p, self._zero())
         if dp is not None:
             dp = smith(cycle.closed(p), dp)
-        return self.phases(p, dp, pattern)[0]
+        return self.phases(p, dp, pattern, [(i, 1) for i in range(pattern.length)])[0]
 
     def phases(
-        self, p: FloatArray, dp: FloatArray | None, pattern: Pattern
+        self,
+        p: FloatArray,
+        dp: FloatArray | None,
+        pattern: Pattern,
+        parts: Sequence[tuple[int, int]],
     ) -> tuple[list[Riccati], FloatArray, FloatArray | None]:
-        """(the solution of every phase, P and dP one pattern later), from P before the first phase."""
+        """(solutions in the middle of `parts`, see `Pattern`, P and dP one pattern later), from P
+        before the first phase."""
         found = []
-        for there in pattern.there:
+        for begin, size in parts:
+            there = pattern.there[begin]
+            for e in self._steps(there, size // 2):
+                p, dp = e.moved(p, dp)
             found.append(self.solution(p, dp))
             if pattern.length > 1:
-                p, dp = self.element(there).moved(p, dp)
+                for e in self._steps(there, size - size // 2):
+                    p, dp = e.moved(p, dp)
         return found, p, dp
 
     def _early(
         self, record: Record, pattern: Pattern, spread: FloatArray
     ) -> tuple[list[Riccati], npt.NDArray[np.intp]]:
-        """(solutions before the filter has settled, which of them every sample (n,) has; -1: settled).
+        """(solutions before the filter has settled, which of them every sample (n,) has; -1:
+        settled).
 
         Records that start alike share them.
         """
@@ -263,22 +320,30 @@ class Settling:
         key = spread.tobytes(), actual.tobytes(), pattern.there.tobytes()
         if key not in self._walks:
             self._walks[key] = _Walk(
-                settling=self, pattern=pattern, actual=actual, p=np.diag((spread / self._unit) ** 2),
+                settling=self,
+                pattern=pattern,
+                actual=actual,
+                p=np.diag((spread / self._unit) ** 2),
                 dp=self._zero(),
-            )  # fmt: skip
+            )
         walk = self._walks[key]
         at = np.full(record.n, -1, dtype=np.intp)
-        place = 0
+        place, middle = 0, [begin + size // 2 for begin, size in pattern.parts]
+        part = np.repeat(np.arange(len(middle)), [size for _, size in pattern.parts])
         for stretch in stretches(record.n, length):
-            phases = 1 if stretch.begin < first else length
-            if place == len(walk.found):
-                walk.go_on(stretch.node, phases)
-            new = walk.found[place : place + phases]
-            if stretch.begin >= first and all(self._alike(a, b) for a, b in zip(new, settled, strict=True)):
-                break
             rows = np.arange(stretch.begin, stretch.end)
-            at[rows] = place + (rows - stretch.begin) % phases
-            place += phases
+            early = stretch.begin < first
+            if place == len(walk.found):
+                walk.go_on(stretch.node, whole=not early)
+            if early:
+                at[rows] = place
+                place += 1
+                continue
+            new = walk.found[place : place + len(middle)]
+            if all(self._alike(a, settled[j]) for a, j in zip(new, middle, strict=True)):
+                break
+            at[rows] = place + part[rows % length]
+            place += len(middle)
         return walk.found[:place], at
 
     def _alike(self, one: Riccati, settled: Riccati) -> bool:
@@ -293,7 +358,8 @@ class Settling:
 
 @dataclass(kw_only=True, eq=False)
 class _Walk:
-    """The covariance `p` (with slopes `dp`) at sample `t` of the records of one start, and the solutions `found` so far."""
+    """The covariance `p` (with slopes `dp`) at sample `t` of the records of one start, and the
+    solutions `found` so far."""
 
     settling: Settling
     pattern: Pattern
@@ -303,18 +369,21 @@ class _Walk:
     t: int = 0
     found: list[Riccati] = field(default_factory=list)
 
-    def go_on(self, node: int, phases: int) -> None:
-        """Add the solutions of the `phases` samples from `node` on."""
+    def go_on(self, node: int, whole: bool) -> None:
+        """Add the solution of the sample `node`, or those of the parts of the `whole` pattern from
+        there on."""
         while self.t < min(node, len(self.actual)):
             self._move(self.settling.element(self.actual[self.t]), 1)
         length = self.pattern.length
         while self.t < node:
             times = ((node - self.t) // length).bit_length() - 1
             self._move(self.settling.cycle(self.pattern, times), length << times)
-        if phases == 1:
+        if not whole or length == 1:
             self.found.append(self.settling.solution(self.p, self.dp))
             return
-        new, self.p, self.dp = self.settling.phases(self.p, self.dp, self.pattern)
+        new, self.p, self.dp = self.settling.phases(
+            self.p, self.dp, self.pattern, self.pattern.parts
+        )
         self.found += new
         self.t += length
 

@@ -1,4 +1,5 @@
-"""Solver: what a fit knows of who minimises, and what a solver sees. Members are in greybox/estimation/solvers."""
+"""Solver: what a fit knows of who minimises, and what a solver sees. Members are in
+greybox/estimation/solvers."""
 
 from __future__ import annotations
 
@@ -15,15 +16,18 @@ from greybox.symbolic import FloatArray
 
 IndexArray = npt.NDArray[np.intp]
 Progress = Callable[[int, float, float], None]
-"""Called every iteration with its number, the cost and the decrease that one more full step promises."""
+"""Called every iteration with its number, the cost and the decrease that one more full step
+promises."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """Cost (negative log posterior up to nothing: constants included), gradient, Gauss-Newton Hessian, block scores.
+    """Cost (negative log posterior up to nothing: constants included), gradient, Gauss-Newton
+    Hessian, block scores.
 
-    `scores` (n_blocks, n): gradient of consecutive stretches, for the sandwich covariance. `likelihood`
-    is the cost without priors. `valid` False: the model's numbers stopped being finite.
+    `scores` (n_blocks, n): gradient of consecutive stretches, for the sandwich covariance.
+    `likelihood` is the cost without priors. `valid` False: the model's numbers stopped being
+    finite.
     """
 
     cost: float

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Unknown:
-    """One scalar of the search space. `name` is the parameter's; `flight` is set for a per-flight copy.
+    """One scalar of the search space. `name` is the parameter's; `flight` is set for a per-flight
+    copy.
 
     `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
-    logarithm), `mean` and `sigma` those of its Gaussian prior (sigma infinite: no prior), `scale` is
-    its typical size.
+    logarithm), `mean` and `sigma` those of its Gaussian prior (sigma infinite: no prior), `scale`
+    is its typical size.
     """
 
     name: str

@@ -1,8 +1,10 @@
-"""Effect: one physical equation that may be missing from the core model, its parameters, and what it needs.
+"""Effect: one physical equation that may be missing from the core model, its parameters, and what
+it needs.
 
-An effect lives in exactly one stage. How effects of one stage combine is fixed by the stage (see `SLOTS`), never by the
-order in which they are listed, and every effect is the identity at its null parameters: removal is exact and every
-smaller model is nested. A new effect is one small file plus one line in the catalogue tuple.
+An effect lives in exactly one stage. How effects of one stage combine is fixed by the stage (see
+`SLOTS`), never by the order in which they are listed, and every effect is the identity at its null
+parameters: removal is exact and every smaller model is nested. A new effect is one small file plus
+one line in the catalogue tuple.
 """
 
 from __future__ import annotations
@@ -28,20 +30,23 @@ SLOTS: Mapping[str, frozenset[str]] = {
     "wrench": frozenset({"force", "moment", "hub_force", "wind"}),
     "sensor": frozenset(s.name for s in SENSORS) | DELAYS,
 }
-"""What an effect of a stage may return. command: delays add [s], commands form the fixed chain; rotor: factors multiply,
-at most one lag [s], longer by lag_asymmetry of itself for rotors that slow down and shorter by as much for those that
-speed up; thrust: factors multiply T_i or Q_i, then increments [N] add; body: factors
-multiply, increments add; wrench: forces [N] and moments [N m] add in body axes, hub_force (3 x n) acts at the hubs,
-winds [m/s] in world axes add; sensor: the value replaces that of the sensor of that name, in the order of `Effect.order`,
-delays of a clock (see `greybox.model.clock`) [s] add."""
+"""What an effect of a stage may return. command: delays add [s], commands form the fixed chain;
+rotor: factors multiply, at most one lag [s], longer by lag_asymmetry of itself for rotors that slow
+down and shorter by as much for those that speed up; thrust: factors multiply T_i or Q_i, then
+increments [N] add; body: factors multiply, increments add; wrench: forces [N] and moments [N m] add
+in body axes, hub_force (3 x n) acts at the hubs, winds [m/s] in world axes add; sensor: the value
+replaces that of the sensor of that name, in the order of `Effect.order`, delays of a clock (see
+`greybox.model.clock`) [s] add."""
 
 EARLY = frozenset({"delay", "lag", "lag_asymmetry", "wind"}) | DELAYS
-"""Slots that the model must know before it comes to their stage: states, window and airspeeds depend on them."""
+"""Slots that the model must know before it comes to their stage: states, window and airspeeds
+depend on them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceCase:
-    """Numbers worked by hand: at these parameters and signals the effect must return `expected` (per slot).
+    """Numbers worked by hand: at these parameters and signals the effect must return `expected`
+    (per slot).
 
     `working` shows the arithmetic, so that a reader can repeat it without running code.
     """
@@ -56,8 +61,9 @@ class ReferenceCase:
 class Needs:
     """What must be there for the effect to be in a model and to be felt.
 
-    All `columns` of the log, all facts of the `vehicle` file (dotted, as "actuator.rotor_radius"), one of `sensors` and
-    one of `other_sensors`. Of `effects` one must be in the model for this one to be felt; a model without is allowed.
+    All `columns` of the log, all facts of the `vehicle` file (dotted, as "actuator.rotor_radius"),
+    one of `sensors` and one of `other_sensors`. Of `effects` one must be in the model for this one
+    to be felt; a model without is allowed.
     """
 
     columns: tuple[str, ...] = ()
@@ -70,8 +76,8 @@ class Needs:
 class Effect(ABC):
     """Base of all effects: declarations as class attributes, the formula in `apply`.
 
-    Effects of the catalogue also name their source and have a case worked by hand; an effect from a user's file may
-    leave out `references`, `validity` and `case`.
+    Effects of the catalogue also name their source and have a case worked by hand; an effect from a
+    user's file may leave out `references`, `validity` and `case`.
     """
 
     name: ClassVar[str]
@@ -93,18 +99,23 @@ class Effect(ABC):
 
     @abstractmethod
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
-        """The formula: slots of the stage -> expressions. `p` holds the effect's own parameters by short name."""
+        """The formula: slots of the stage -> expressions. `p` holds the effect's own parameters by
+        short name."""
 
     def memory(self, vehicle: Any) -> tuple[Remembered, ...]:
-        """States of its own, for an effect that remembers (stages thrust, wrench); `flow.memory` has them in this order."""
+        """States of its own, for an effect that remembers (stages thrust, wrench); `flow.memory`
+        has them in this order."""
         return ()
 
     def remember(self, flow: Flow, p: Mapping[str, Expr]) -> Expr:
         """d memory / dt [unit / s], one value per state of `memory`, with all of `flow` known."""
-        raise NotImplementedError(f"effect {self.name} has a memory and does not say how it changes")
+        raise NotImplementedError(
+            f"effect {self.name} has a memory and does not say how it changes"
+        )
 
     def derived(self, p: Mapping[str, Expr], vehicle: Any) -> Mapping[str, Expr]:
-        """Further named numbers that follow from the parameters (reported with error bars, never fitted)."""
+        """Further named numbers that follow from the parameters (reported with error bars, never
+        fitted)."""
         return {}
 
     def missing(
@@ -112,12 +123,19 @@ class Effect(ABC):
     ) -> tuple[str, ...]:
         """What the effect needs and is not there, in words; empty where it can be in a model.
 
-        `sensors` are the names of the model's sensors, `columns` those of the log (None: not asked).
+        `sensors` are the names of the model's sensors, `columns` those of the log (None: not
+        asked).
         """
         needs = self.needs
         out = [f"column {c}" for c in needs.columns if columns is not None and c not in columns]
-        out += [f"{fact} in the vehicle file" for fact in needs.vehicle if _fact(vehicle, fact) is None]
-        either = [group for group in (needs.sensors, needs.other_sensors) if group and not set(group) & set(sensors)]
+        out += [
+            f"{fact} in the vehicle file" for fact in needs.vehicle if _fact(vehicle, fact) is None
+        ]
+        either = [
+            group
+            for group in (needs.sensors, needs.other_sensors)
+            if group and not set(group) & set(sensors)
+        ]
         return (*out, *(f"sensor {' or '.join(group)}" for group in either))
 
     def __repr__(self) -> str:
@@ -134,10 +152,17 @@ def _fact(vehicle: Any, dotted: str) -> Any:
 def vector_parameters(
     prefix: str, axes: str, *, unit: str, scale: float, meaning: str, **declaration: Any
 ) -> tuple[Parameter, ...]:
-    """One parameter per letter of `axes`, named prefix + letter, all declared alike with null and nominal 0."""
+    """One parameter per letter of `axes`, named prefix + letter, all declared alike with null and
+    nominal 0."""
     return tuple(
         Parameter(
-            name=f"{prefix}{a}", unit=unit, nominal=0.0, null=0.0, scale=scale, meaning=f"{meaning}, {a}", **declaration
+            name=f"{prefix}{a}",
+            unit=unit,
+            nominal=0.0,
+            null=0.0,
+            scale=scale,
+            meaning=f"{meaning}, {a}",
+            **declaration,
         )
         for a in axes
     )

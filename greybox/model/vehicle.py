@@ -1,8 +1,9 @@
-"""Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema "greybox.vehicle/2").
+"""Vehicle: what a ruler, a scale and a data sheet say about one craft, and its file (schema
+"greybox.vehicle/2").
 
-A number is exact (sigma 0) or a prior (value and one standard deviation). One that states no sigma is believed within the
-default of its quantity (see `beliefs`); in files of schema "greybox.vehicle/1" it is exact. SI units; body axes FLU from
-the body origin.
+A number is exact (sigma 0) or a prior (value and one standard deviation). One that states no sigma
+is believed within the default of its quantity (see `beliefs`); in files of schema
+"greybox.vehicle/1" it is exact. SI units; body axes FLU from the body origin.
 The file is long because the class is one thing: the same tables are read, checked and written.
 """
 
@@ -34,16 +35,19 @@ SCHEMAS = (EXACT_SCHEMA, SCHEMA)
 ASSUMED = "default_sigma"
 """Key of a written vehicle: names of the numbers whose sigma nobody stated."""
 NOISES = ("gyro", "accelerometer", "attitude", "position", "velocity", "voltage", "rotor_speed")
-"""Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s. Other names belong to sensors of the user's own."""
+"""Keys of [noise]; units rad/s, m/s^2, rad, m, m/s, V, rad/s. Other names belong to sensors of the
+user's own."""
 MISSPELT, LETTERS = 0.7, 2
-"""Likeness (`difflib`) to one of `NOISES` from which on another name is a slip for it, and by how many letters it may be
-longer or shorter then: "giro" is 0.75 like "gyro"; "barometer", 0.73 like "accelerometer", is four letters shorter."""
+"""Likeness (`difflib`) to one of `NOISES` from which on another name is a slip for it, and by how
+many letters it may be longer or shorter then: "giro" is 0.75 like "gyro"; "barometer", 0.73 like
+"accelerometer", is four letters shorter."""
 
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 LARGEST_FILE, MOST_DOTS, MOST_ROTORS = 2**18, 200, 64
-"""Bytes of a vehicle file, dots in one line of it (the cost of a dotted key grows with its square), and rotors."""
+"""Bytes of a vehicle file, dots in one line of it (the cost of a dotted key grows with its square),
+and rotors."""
 TRIANGLE_SLACK = 0.05
 """Relative slack of the triangle inequality of inertia (values come from rounded tables)."""
 
@@ -66,7 +70,8 @@ Quantity3 = tuple[Quantity, Quantity, Quantity]
 
 @dataclass(frozen=True, kw_only=True)
 class Rotor:
-    """Hub position [m] from the body origin, and spin (+1 counter-clockwise seen from above, -1 clockwise)."""
+    """Hub position [m] from the body origin, and spin (+1 counter-clockwise seen from above, -1
+    clockwise)."""
 
     position: Vector3
     spin: int
@@ -76,7 +81,8 @@ class Rotor:
 class Actuator:
     """Commands and the thrust and torque maps, c0 + c1 nu + c2 nu^2 per rotor ([N] and [N m]).
 
-    `hold` says how the command runs between samples; `rotor_radius` [m] and `speed_max` [rad/s at nu = 1] are optional.
+    `hold` says how the command runs between samples; `rotor_radius` [m] and `speed_max` [rad/s at
+    nu = 1] are optional.
     """
 
     u_min: float = 0.0
@@ -90,11 +96,13 @@ class Actuator:
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx, Jyy, Jzz.
+    """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx,
+    Jyy, Jzz.
 
-    `effects` maps effect names to their parameters (the model's catalogue knows which names exist); `noise` has the
-    known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log keeps the canonical channels. `assumed`
-    names the numbers whose sigma is the default of their quantity; `schema` is that of the file.
+    `effects` maps effect names to their parameters (the model's catalogue knows which names exist);
+    `noise` has the known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log
+    keeps the canonical channels. `assumed` names the numbers whose sigma is the default of their
+    quantity; `schema` is that of the file.
     """
 
     name: str
@@ -133,28 +141,39 @@ class Vehicle:
 
     @property
     def omega_scale(self) -> float:
-        """Rotor speed at nu = 1 [rad/s]: speed_max, or 1 where it is unknown (coefficients are then per unit nu)."""
+        """Rotor speed at nu = 1 [rad/s]: speed_max, or 1 where it is unknown (coefficients are then
+        per unit nu)."""
         return self.actuator.speed_max or 1.0
 
     @property
     def arm_length(self) -> float:
-        """Longest horizontal distance of a hub from the body origin [m] (a scale, never a parameter)."""
+        """Longest horizontal distance of a hub from the body origin [m] (a scale, never a
+        parameter)."""
         return _arm_length(self.rotors)
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
-        """The core parameters by name: mass, inertia.xx, thrust.c2, torque.c2, center_of_mass.x, ..."""
+        """The core parameters by name: mass, inertia.xx, thrust.c2, torque.c2, center_of_mass.x,
+        ..."""
         out = {"mass": self.mass}
         for i, axis in enumerate("xyz"):
-            out[f"inertia.{axis}{axis}"] = Quantity(value=self.inertia[i][i], sigma=self.inertia_sigma[i])
+            out[f"inertia.{axis}{axis}"] = Quantity(
+                value=self.inertia[i][i], sigma=self.inertia_sigma[i]
+            )
         for kind, curve in (("thrust", self.actuator.thrust), ("torque", self.actuator.torque)):
             out.update({f"{kind}.c{i}": quantity for i, quantity in enumerate(curve)})
-        out.update({f"center_of_mass.{axis}": q for axis, q in zip("xyz", self.center_of_mass, strict=True)})
+        out.update(
+            {
+                f"center_of_mass.{axis}": q
+                for axis, q in zip("xyz", self.center_of_mass, strict=True)
+            }
+        )
         return out
 
     @property
     def beliefs(self) -> Beliefs:
-        """How sure the file is of every number, for people; `arm` is no parameter, its error ends up in the inertia."""
+        """How sure the file is of every number, for people; `arm` is no parameter, its error ends
+        up in the inertia."""
         arm = self.arm_length
         named = {**self.quantities, **_of_effects(self.effects)}
         entries = [self._belief(name, q) for name, q in named.items()]
@@ -168,7 +187,8 @@ class Vehicle:
         return Belief(quantity=name, value=quantity.value, sigma=quantity.sigma, why=why)
 
     def to_dict(self) -> dict[str, Any]:
-        """The vehicle as plain values in the shape of its TOML file; `from_dict` reads it back exactly."""
+        """The vehicle as plain values in the shape of its TOML file; `from_dict` reads it back
+        exactly."""
         bare = self.schema == EXACT_SCHEMA  # where a number without sigma is exact
         actuator: dict[str, Any] = {
             "u_min": self.actuator.u_min,
@@ -192,7 +212,9 @@ class Vehicle:
             "imu_position": list(self.imu_position),
             "rotor": [{"position": list(r.position), "spin": r.spin} for r in self.rotors],
             "actuator": actuator,
-            "effects": {k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()},
+            "effects": {
+                k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()
+            },
             "noise": dict(self.noise),
             "columns": {
                 k: {"name": c.name, "scale": c.scale, "offset": c.offset, "causal": c.causal}
@@ -215,40 +237,60 @@ class Vehicle:
 
 
 def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
-    """Read a vehicle file (TOML, schema "greybox.vehicle/2"; files of "greybox.vehicle/1" keep their meaning).
+    """Read a vehicle file (TOML, schema "greybox.vehicle/2"; files of "greybox.vehicle/1" keep
+    their meaning).
 
-    Raises `VehicleError` naming file and key: no such file, TOML syntax (with line), missing key, wrong type,
-    inertia that no body can have, zero mass, no rotor, u_min >= u_max, negative sigma; `UnknownNameError` for a key
-    that is not known, with the nearest names.
+    Raises `VehicleError` naming file and key: no such file, TOML syntax (with line), missing key,
+    wrong type, inertia that no body can have, zero mass, no rotor, u_min >= u_max, negative sigma;
+    `UnknownNameError` for a key that is not known, with the nearest names.
     """
     where = str(path)
     try:
         text = read_limited(path, LARGEST_FILE).decode("utf-8-sig").replace("\r\n", "\n")
         if any(line.count(".") > MOST_DOTS for line in text.split("\n")):
-            raise VehicleError(f"a line with more than {MOST_DOTS} dots", where=where, fix="give one value a line")
+            raise VehicleError(
+                f"a line with more than {MOST_DOTS} dots", where=where, fix="give one value a line"
+            )
         data = tomllib.loads(text)
     except FileFormatError:
         raise VehicleError(
-            f"more than {LARGEST_FILE // 1024} KiB", where=where, fix="pass a vehicle file, not a log"
+            f"more than {LARGEST_FILE // 1024} KiB",
+            where=where,
+            fix="pass a vehicle file, not a log",
         ) from None
     except VehicleError:
         raise
     except FileNotFoundError:
         raise VehicleError("no such vehicle file", where=where, fix="check the path") from None
     except IsADirectoryError:
-        raise VehicleError("a folder, not a vehicle file", where=where, fix="pass the .toml file in it") from None
+        raise VehicleError(
+            "a folder, not a vehicle file", where=where, fix="pass the .toml file in it"
+        ) from None
     except UnicodeDecodeError:
-        raise VehicleError("not a text file", where=where, fix="pass a TOML file saved as UTF-8") from None
+        raise VehicleError(
+            "not a text file", where=where, fix="pass a TOML file saved as UTF-8"
+        ) from None
     except OSError as error:
-        raise VehicleError(f"cannot read: {error.strerror or error}", where=where, fix="check the path") from None
-    except (ValueError, RecursionError) as error:  # besides its own, tomllib lets those of numbers and dates through
-        raise VehicleError(f"not valid TOML: {error}", where=where, fix="correct the line that is named") from None
+        raise VehicleError(
+            f"cannot read: {error.strerror or error}", where=where, fix="check the path"
+        ) from None
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # besides its own, tomllib lets those of numbers and dates through
+        raise VehicleError(
+            f"not valid TOML: {error}", where=where, fix="correct the line that is named"
+        ) from None
     return Vehicle.from_dict(data, where=where)
 
 
 def _plain(quantity: Quantity, bare: bool) -> float | dict[str, float]:
     """As in a file; `bare` says that a number without sigma is exact there."""
-    return quantity.value if quantity.exact and bare else {"value": quantity.value, "sigma": quantity.sigma}
+    return (
+        quantity.value
+        if quantity.exact and bare
+        else {"value": quantity.value, "sigma": quantity.sigma}
+    )
 
 
 def _arm_length(rotors: Iterable[Rotor]) -> float:
@@ -261,7 +303,8 @@ def _of_effects(effects: Mapping[str, Mapping[str, Quantity]]) -> dict[str, Quan
 
 
 class _Silent:
-    """What a number without a sigma means in one file, and the names of those that got the default of their quantity."""
+    """What a number without a sigma means in one file, and the names of those that got the default
+    of their quantity."""
 
     def __init__(self, schema: str, arm: float, labelled: Iterable[str]) -> None:
         self._exact, self._arm = schema == EXACT_SCHEMA, arm
@@ -291,7 +334,8 @@ def _quantity(table: TomlTable, key: str, value: Any, name: str, silent: _Silent
 def _quantities(
     table: TomlTable, key: str, names: tuple[str, str, str], silent: _Silent, default: Any = None
 ) -> Quantity3:
-    """Three numbers with sigmas, from `key` (numbers or value-sigma tables) and the optional `key_sigma`."""
+    """Three numbers with sigmas, from `key` (numbers or value-sigma tables) and the optional
+    `key_sigma`."""
     values = table.array(key, 3) if default is None else table.array(key, 3, default)
     sigma_key = f"{key}_sigma"
     if sigma_key not in table:
@@ -303,15 +347,25 @@ def _quantities(
     exact = _Silent(EXACT_SCHEMA, 0.0, ())
     read = [_quantity(table, f"{key}[{i}]", v, "", exact) for i, v in enumerate(values)]
     if any(not q.exact for q in read):
-        raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
-    x, y, z = (Quantity(value=q.value, sigma=s) for q, s in zip(read, _sigmas(table, sigma_key), strict=True))
+        raise table.error(
+            sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two"
+        )
+    x, y, z = (
+        Quantity(value=q.value, sigma=s)
+        for q, s in zip(read, _sigmas(table, sigma_key), strict=True)
+    )
     return x, y, z
 
 
 def _sigmas(table: TomlTable, key: str) -> Vector3:
     values = table.numbers(key, 3, [0.0, 0.0, 0.0])
     if min(values) < 0:
-        raise table.error(key, "a sigma must not be negative", got=f"{min(values):g}", fix="use 0 for an exact value")
+        raise table.error(
+            key,
+            "a sigma must not be negative",
+            got=f"{min(values):g}",
+            fix="use 0 for an exact value",
+        )
     return values[0], values[1], values[2]
 
 
@@ -324,7 +378,12 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
     rows = []
     for i, row in enumerate(top.array("inertia", 3)):
         if not isinstance(row, list) or len(row) != 3:
-            raise top.error(f"inertia[{i}]", "not a row of 3", got=describe(row), fix="write a 3 x 3 matrix [kg m^2]")
+            raise top.error(
+                f"inertia[{i}]",
+                "not a row of 3",
+                got=describe(row),
+                fix="write a 3 x 3 matrix [kg m^2]",
+            )
         x, y, z = (top.checked_number(f"inertia[{i}][{j}]", v) for j, v in enumerate(row))
         rows.append((x, y, z))
     matrix = np.array(rows)
@@ -360,29 +419,54 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
 def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
     rotors = []
     if len(top.array("rotor", None)) > MOST_ROTORS:
-        raise top.error("rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor")
+        raise top.error(
+            "rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor"
+        )
     for i, value in enumerate(top.array("rotor", None)):
         table = TomlTable(value, file=top.file, path=f"rotor[{i}]")
         table.known(("position", "spin"))
         spin = table.number("spin")
         if spin not in (1.0, -1.0):
-            raise table.error("spin", "must be 1 or -1", got=f"{spin:g}", fix="1 is counter-clockwise seen from above")
+            raise table.error(
+                "spin",
+                "must be 1 or -1",
+                got=f"{spin:g}",
+                fix="1 is counter-clockwise seen from above",
+            )
         rotors.append(Rotor(position=_vector(table, "position"), spin=int(spin)))
     if not rotors:
-        raise top.error("rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor")
+        raise top.error(
+            "rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor"
+        )
     places = [r.position for r in rotors]
     if len(set(places)) < len(places):
-        raise top.error("rotor", "two rotors at the same position", fix="give each rotor its own hub position")
+        raise top.error(
+            "rotor", "two rotors at the same position", fix="give each rotor its own hub position"
+        )
     return tuple(rotors)
 
 
 def _actuator(table: TomlTable, silent: _Silent) -> Actuator:
     table.known(
-        ("u_min", "u_max", "hold", "rotor_radius", "speed_max", "thrust", "thrust_sigma", "torque", "torque_sigma")
+        (
+            "u_min",
+            "u_max",
+            "hold",
+            "rotor_radius",
+            "speed_max",
+            "thrust",
+            "thrust_sigma",
+            "torque",
+            "torque_sigma",
+        )
     )
     u_min, u_max = table.number("u_min", 0.0), table.number("u_max", 1.0)
     if not u_min < u_max:
-        raise table.error("u_min", f"{u_min:g} is not below u_max {u_max:g}", fix="give the command range in order")
+        raise table.error(
+            "u_min",
+            f"{u_min:g} is not below u_max {u_max:g}",
+            fix="give the command range in order",
+        )
     thrust = _quantities(table, "thrust", ("thrust.c0", "thrust.c1", "thrust.c2"), silent)
     c0, c1, c2 = (q.value for q in thrust)
     full = c0 + u_max * (c1 + u_max * c2)  # a product never raises OverflowError, a power does
@@ -396,8 +480,12 @@ def _actuator(table: TomlTable, silent: _Silent) -> Actuator:
     return Actuator(
         u_min=u_min,
         u_max=u_max,
-        hold="linear" if table.choice("hold", ("previous", "linear"), "previous") == "linear" else "previous",
-        rotor_radius=table.number("rotor_radius", positive=True) if "rotor_radius" in table else None,
+        hold="linear"
+        if table.choice("hold", ("previous", "linear"), "previous") == "linear"
+        else "previous",
+        rotor_radius=table.number("rotor_radius", positive=True)
+        if "rotor_radius" in table
+        else None,
         speed_max=table.number("speed_max", positive=True) if "speed_max" in table else None,
         thrust=thrust,
         torque=_quantities(table, "torque", ("torque.c0", "torque.c1", "torque.c2"), silent),
@@ -411,7 +499,11 @@ def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
         if key not in known:
             index = rotor_index(key) if is_canonical(key) else None
             if index is not None:
-                raise table.error(key, f"the vehicle has {rotors} rotors", fix="add the [[rotor]] or drop the column")
+                raise table.error(
+                    key,
+                    f"the vehicle has {rotors} rotors",
+                    fix="add the [[rotor]] or drop the column",
+                )
             raise UnknownNameError("channel", key, known, where=table.place(""))
         if isinstance(value, str):
             value = {"name": value}
@@ -419,7 +511,9 @@ def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
         entry.known(("name", "scale", "offset", "causal"))
         scale = entry.number("scale", 1.0)
         if scale == 0.0:
-            raise entry.error("scale", "must not be zero", fix="give the factor from the log's unit to SI")
+            raise entry.error(
+                "scale", "must not be zero", fix="give the factor from the log's unit to SI"
+            )
         out[key] = ColumnSpec(
             name=entry.text("name", key),
             scale=scale,
@@ -429,12 +523,15 @@ def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
     names = [c.name for c in out.values()]
     for key, spec in out.items():
         if names.count(spec.name) > 1:
-            raise table.error(key, f"column '{spec.name}' is given to two channels", fix="name another column")
+            raise table.error(
+                key, f"column '{spec.name}' is given to two channels", fix="name another column"
+            )
     return out
 
 
 def _names_own_sensor(key: str) -> bool:
-    """Whether a key of [noise] can be that of a sensor of the user's own, and is no slip of the pen for a known one."""
+    """Whether a key of [noise] can be that of a sensor of the user's own, and is no slip of the pen
+    for a known one."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", key):
         return False
     begins = any(key.startswith(n) or n.startswith(key) for n in NOISES)
@@ -446,7 +543,13 @@ def _vehicle(top: TomlTable) -> Vehicle:
     schema = top.get("schema")
     if schema not in SCHEMAS:
         expected = " or ".join(f'"{s}"' for s in SCHEMAS)
-        raise top.error("schema", "wrong schema", expected=expected, got=repr(schema), fix="update the vehicle file")
+        raise top.error(
+            "schema",
+            "wrong schema",
+            expected=expected,
+            got=repr(schema),
+            fix="update the vehicle file",
+        )
     top.known(
         (
             *(
@@ -468,7 +571,9 @@ def _vehicle(top: TomlTable) -> Vehicle:
     silent = _Silent(schema, _arm_length(rotors), labelled)
     mass = _quantity(top, "mass", top.get("mass"), "mass", silent)
     if not mass.value > 0:
-        raise top.error("mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg")
+        raise top.error(
+            "mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg"
+        )
     inertia, inertia_sigma = _inertia(top, silent)
     effects_table = top.table("effects", {})
     effects = {}
@@ -498,7 +603,9 @@ def _vehicle(top: TomlTable) -> Vehicle:
         rotors=rotors,
         actuator=_actuator(top.table("actuator"), silent),
         effects=effects,
-        nominal_voltage=battery.number("nominal_voltage", positive=True) if "nominal_voltage" in battery else None,
+        nominal_voltage=battery.number("nominal_voltage", positive=True)
+        if "nominal_voltage" in battery
+        else None,
         noise={k: noise.number(k, positive=True) for k in noise.value},
         columns=_columns(top.table("columns", {}), len(rotors)),
         schema=schema,

@@ -1,12 +1,16 @@
-"""A vehicle file from what a log knows: motor order, spins, arms where they are parameters, the command in hover.
+"""A vehicle file from what a log knows: motor order, spins, arms where they are parameters, the
+command in hover.
 
 Facts of the firmware, body axes forward, left, up:
-- PX4: CA_ROTORi_PX, PY, PZ and the sign of KM (docs.px4.io, parameter reference); without them the geometry of the airframe
+- PX4: CA_ROTORi_PX, PY, PZ and the sign of KM (docs.px4.io, parameter reference); without them the
+geometry of the airframe
   SYS_AUTOSTART (docs.px4.io, airframe reference: quadrotor x 4001 to 4999, quadrotor + 5001).
-- Betaflight, quad X: 1 rear right, 2 front right, 3 rear left, 4 front left; front right turns counter-clockwise with props
-  in, clockwise with yaw_motors_reversed (betaflight.com, guide "Reversed motor direction"). Logs do not hold that setting,
-  so that it is taken from how the yaw rate answers the commands.
-- Crazyflie: m1 front right counter-clockwise, m2 rear right, m3 rear left, m4 front left in turn (bitcraze.io, the
+- Betaflight, quad X: 1 rear right, 2 front right, 3 rear left, 4 front left; front right turns
+counter-clockwise with props
+  in, clockwise with yaw_motors_reversed (betaflight.com, guide "Reversed motor direction"). Logs do
+  not hold that setting, so that it is taken from how the yaw rate answers the commands.
+- Crazyflie: m1 front right counter-clockwise, m2 rear right, m3 rear left, m4 front left in turn
+(bitcraze.io, the
   Crazyflie 2.x assembly and coordinate system pages).
 """
 
@@ -33,8 +37,12 @@ Place = tuple[tuple[float, float, float], int]
 
 SLOPE = 0.5**0.5
 QUAD_X: Mapping[str, tuple[Place, ...]] = {
-    "px4": tuple(((x, y, 0.0), s) for x, y, s in ((1, -1, 1), (-1, 1, 1), (1, 1, -1), (-1, -1, -1))),
-    "betaflight": tuple(((x, y, 0.0), s) for x, y, s in ((-1, -1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, -1))),
+    "px4": tuple(
+        ((x, y, 0.0), s) for x, y, s in ((1, -1, 1), (-1, 1, 1), (1, 1, -1), (-1, -1, -1))
+    ),
+    "betaflight": tuple(
+        ((x, y, 0.0), s) for x, y, s in ((-1, -1, -1), (1, -1, 1), (-1, 1, 1), (1, 1, -1))
+    ),
 }
 """Places (to be scaled by arm / sqrt 2) and spins of the motors in the firmware's order."""
 QUAD_PLUS: tuple[Place, ...] = (
@@ -46,19 +54,23 @@ QUAD_PLUS: tuple[Place, ...] = (
 """PX4's quadrotor +: right, left, front, rear."""
 
 DENSITY = 250.0
-"""Mass over the cube of the arm [kg/m^3] of the templates' craft (277 Crazyflie, 385 racer, 256 quadrotor in X)."""
+"""Mass over the cube of the arm [kg/m^3] of the templates' craft (277 Crazyflie, 385 racer, 256
+quadrotor in X)."""
 GUESS = 0.5
 """Relative sigma of a mass, and of what follows from it, that nobody weighed."""
 ARM = 0.11
 """Arm [m] where neither log nor user knows it: a 5 inch racer."""
 TURNING = 0.1
-"""Correlation of yaw acceleration and yaw command from which the sense of the motors is taken as seen."""
+"""Correlation of yaw acceleration and yaw command from which the sense of the motors is taken as
+seen."""
 FEW = 100
 """Rows in flight below which commands and sensors are not asked."""
 LEAST = 0.15
-"""Mean command below which nothing flies: idle, or a craft that `greybox vehicle check` warns of."""
+"""Mean command below which nothing flies: idle, or a craft that `greybox vehicle check` warns
+of."""
 SMOOTH = 0.01
-"""Seconds over which yaw rate and commands are averaged before they are compared, against noise and vibration."""
+"""Seconds over which yaw rate and commands are averaged before they are compared, against noise and
+vibration."""
 QUADROTOR = 2.0
 """MAV_TYPE of a quadrotor (MAVLink)."""
 
@@ -72,10 +84,14 @@ class FromLog:
     to_measure: tuple[str, ...]
 
 
-def vehicle_from_log(path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None) -> FromLog:
-    """A vehicle file for the craft that wrote this log; `changes` are those of `vehicle_text` (mass, arm, hover, ...).
+def vehicle_from_log(
+    path: str | os.PathLike[str], changes: Mapping[str, Any] | None = None
+) -> FromLog:
+    """A vehicle file for the craft that wrote this log; `changes` are those of `vehicle_text`
+    (mass, arm, hover, ...).
 
-    Raises `DataError` for a log whose layout cannot be known, `VehicleError` for changes that do not fit.
+    Raises `DataError` for a log whose layout cannot be known, `VehicleError` for changes that do
+    not fit.
     """
     where, given = os.fspath(path), dict(changes or {})
     found = inspect_log(path)
@@ -92,7 +108,9 @@ def vehicle_from_log(path: str | os.PathLike[str], changes: Mapping[str, Any] | 
             measure.append("mass: weigh it with battery and decks (--set mass=0.032)")
         text = vehicle_text("crazyflie", given)
         if "mass" not in given:
-            text = written(text, "mass", {"value": 0.027, "sigma": 0.003}, "kg, GUESSED: no deck; weigh yours")
+            text = written(
+                text, "mass", {"value": 0.027, "sigma": 0.003}, "kg, GUESSED: no deck; weigh yours"
+            )
         return FromLog(text=text, known=tuple(known), to_measure=tuple(measure))
     places, arm = _layout(found.format.name, found.recording, found.raw, known, where)
     if arm is None:
@@ -131,13 +149,17 @@ def _layout(
 ) -> tuple[tuple[Place, ...], float | None]:
     """(places and spins, arm), or places for an arm of 1 m and None. Raises `DataError`."""
     if recording.rotors:
-        known.append(f"motor order, places and spins of {len(recording.rotors)} rotors: CA_ROTOR parameters")
+        known.append(
+            f"motor order, places and spins of {len(recording.rotors)} rotors: CA_ROTOR parameters"
+        )
         return recording.rotors, max(float(np.hypot(p[0], p[1])) for p, _ in recording.rotors)
     told = recording.parameters
     start = int(told.get("SYS_AUTOSTART", 0.0))
     if form == "ulog" and told.get("MAV_TYPE") == QUADROTOR:
         plus = 5000 <= start < 6000
-        known.append(f"motor order: PX4 quadrotor {'+' if plus else 'x'} (SYS_AUTOSTART = {start}, MAV_TYPE = 2)")
+        known.append(
+            f"motor order: PX4 quadrotor {'+' if plus else 'x'} (SYS_AUTOSTART = {start}, MAV_TYPE = 2)"
+        )
         return QUAD_PLUS if plus else _unit(QUAD_X["px4"]), None
     if form == "betaflight" and raw is not None and _motors(raw) == 4:
         places = _unit(QUAD_X["betaflight"])
@@ -147,7 +169,9 @@ def _layout(
                 "motor order: Betaflight quad X; spins: props in ASSUMED (yaw says too little), look at the craft"
             )
         else:
-            known.append(f"motor order: Betaflight quad X; spins: props {'in' if seen > 0 else 'out'}, as yaw answers")
+            known.append(
+                f"motor order: Betaflight quad X; spins: props {'in' if seen > 0 else 'out'}, as yaw answers"
+            )
             places = tuple((p, s if seen > 0 else -s) for p, s in places)
         return places, None
     raise DataError(
@@ -182,12 +206,15 @@ def _flying(raw: RawLog) -> np.ndarray | None:
 
 
 def _yaw_answer(raw: RawLog, spins: list[int]) -> float | None:
-    """Correlation of the yaw acceleration with the yaw command of these spins (positive: they are the true ones)."""
+    """Correlation of the yaw acceleration with the yaw command of these spins (positive: they are
+    the true ones)."""
     rows = _flying(raw)
     if rows is None or "r" not in raw.channels:
         return None
     squares = _commands(raw) ** 2
-    wanted = -(squares @ np.array(spins, dtype=np.float64))  # a rotor's drag turns the body against its spin
+    wanted = -(
+        squares @ np.array(spins, dtype=np.float64)
+    )  # a rotor's drag turns the body against its spin
     width = max(1, round(SMOOTH / max(float(np.median(np.diff(raw.t))), 1e-4)))
     smooth = np.ones(width) / width
     rate = np.diff(np.convolve(np.nan_to_num(raw.channels["r"]), smooth, "same"))
@@ -197,25 +224,36 @@ def _yaw_answer(raw: RawLog, spins: list[int]) -> float | None:
     if good.sum() < FEW:
         return None
     answer = rate[good] / step[good]
-    return float(np.corrcoef(answer, wanted[good])[0, 1]) if answer.std() > 0 and wanted[good].std() > 0 else None
+    return (
+        float(np.corrcoef(answer, wanted[good])[0, 1])
+        if answer.std() > 0 and wanted[good].std() > 0
+        else None
+    )
 
 
 def _hover(raw: RawLog | None, recording: Recording, known: list[str]) -> float | None:
-    """Command that carries the weight: from flight and accelerometer, else the firmware's own estimate."""
+    """Command that carries the weight: from flight and accelerometer, else the firmware's own
+    estimate."""
     rows = _flying(raw) if raw is not None else None
     if raw is not None and rows is not None and "az" in raw.channels:
         pull = raw.channels["az"]
         rows = rows & np.isfinite(pull) & (pull > 0.3 * GRAVITY)
         if rows.sum() > FEW and abs(float(np.median(pull[rows])) / GRAVITY - 1) < 0.7:
-            square = float(np.median((_commands(raw)[rows] ** 2).mean(axis=1) * GRAVITY / pull[rows]))
+            square = float(
+                np.median((_commands(raw)[rows] ** 2).mean(axis=1) * GRAVITY / pull[rows])
+            )
             if 0 < square < 1:
-                known.append(f"hover command {square**0.5:.2f}: commands and accelerometer of the log")
+                known.append(
+                    f"hover command {square**0.5:.2f}: commands and accelerometer of the log"
+                )
                 return float(f"{square**0.5:.3g}")
     told = recording.parameters.get("MPC_THR_HOVER", 0.0)
     if 0 < told < 1:
         factor = recording.parameters.get("THR_MDL_FAC", 0.0)
         signal = float(signal_of_thrust(factor)(np.array([told]))[0]) if 0 < factor <= 1 else told
-        known.append(f"hover command {signal:.2f}: MPC_THR_HOVER = {told:g}, THR_MDL_FAC = {factor:g}")
+        known.append(
+            f"hover command {signal:.2f}: MPC_THR_HOVER = {told:g}, THR_MDL_FAC = {factor:g}"
+        )
         return float(f"{signal:.3g}")
     return None
 
@@ -236,7 +274,8 @@ def _with_rotors(text: str, places: tuple[Place, ...]) -> str:
         side = "left" if y > 1e-6 else "right" if y < -1e-6 else ""
         numbers = ", ".join(f"{v:.6g}" if v else "0.0" for v in (x, y, z))
         blocks.append(
-            f"[[rotor]]  # motor {i + 1}, {ahead} {side}".rstrip() + f"\nposition = [{numbers}]\nspin = {spin}\n"
+            f"[[rotor]]  # motor {i + 1}, {ahead} {side}".rstrip()
+            + f"\nposition = [{numbers}]\nspin = {spin}\n"
         )
     return text[:begin] + "".join(blocks) + "\n" + text[end:]
 
@@ -260,10 +299,15 @@ def _guessed(text: str) -> str:
 
     mass = data["mass"]["value"]
     text = written(
-        text, "mass", {"value": mass, "sigma": float(f"{GUESS * mass:.3g}")}, "kg, GUESSED from the arms: weigh it"
+        text,
+        "mass",
+        {"value": mass, "sigma": float(f"{GUESS * mass:.3g}")},
+        "kg, GUESSED from the arms: weigh it",
     )
     moments = wide([data["inertia"][i][i] for i in range(3)])
     text = written(text, "inertia_sigma", moments, "GUESSED with the mass")
     for key in ("thrust", "torque"):
-        text = written(text, f"actuator.{key}_sigma", wide(data["actuator"][key]), "GUESSED with the mass")
+        text = written(
+            text, f"actuator.{key}_sigma", wide(data["actuator"][key]), "GUESSED with the mass"
+        )
     return text

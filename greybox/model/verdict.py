@@ -1,7 +1,7 @@
 """Verdict: what judging a model on flights said, as it stays with the model, its files and reports.
 
-The record holds what was found and the words for it; `greybox.validation.usefulness` makes it. It lives here because
-a model file carries it.
+The record holds what was found and the words for it; `greybox.validation.usefulness` makes it. It
+lives here because a model file carries it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-NOT_JUDGED = "NOT JUDGED: this model was not compared with holding the last value; `greybox validate` does"
+NOT_JUDGED = (
+    "NOT JUDGED: this model was not compared with holding the last value; `greybox validate` does"
+)
 """First line of a model without a verdict (one of an older file, or one that was changed since)."""
 
 
@@ -22,16 +24,19 @@ class Outcome(enum.Enum):
     USABLE = "usable"
     NOT_USABLE = "not usable"
     TOO_CALM = "too calm"
+    PARTLY_JUDGED = "partly judged"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroupSkill:
-    """One channel group at `seconds` ahead: error of the model, of holding the last value, of dead reckoning.
+    """One channel group at `seconds` ahead: error of the model, of holding the last value, of dead
+    reckoning.
 
-    Mean absolute errors in `unit`; `measured_imu` is None where there is no dead reckoning. `covered` is the share of
-    the distance between holding the last value and dead reckoning (or no error at all, where there is none) that the
-    model covers: 1 = as good as the measured IMU, 0 = as the last value, below 0 worse. `worse_from` [s] is the first
-    horizon at which the last value is better, None where there is none; `calm`: the flights hardly move in this group.
+    Mean absolute errors in `unit`; `measured_imu` is None where there is no dead reckoning.
+    `covered` is the share of the distance between holding the last value and dead reckoning (or no
+    error at all, where there is none) that the model covers: 1 = as good as the measured IMU, 0 =
+    as the last value, below 0 worse. `worse_from` [s] is the first horizon at which the last value
+    is better, None where there is none; `calm`: the flights hardly move in this group.
     """
 
     name: str
@@ -49,9 +54,10 @@ class GroupSkill:
 class Verdict:
     """Whether a model is usable, and the one line that says so.
 
-    `line` is the first line of every output. `useful_seconds` [s]: up to there no group that could be judged is worse
-    than holding the last value; judging ended at `judged_seconds`. `judged_on` says in words which flights judged
-    (`flights` by name). `reason`, `action` and `anchor` (a section of docs/bad_fit.md) are empty where nothing is wrong.
+    `line` is the first line of every output. `useful_seconds` [s]: up to there no group that could
+    be judged is worse than holding the last value; judging ended at `judged_seconds`. `judged_on`
+    says in words which flights judged (`flights` by name). `reason`, `action` and `anchor` (a
+    section of docs/bad_fit.md) are empty where nothing is wrong.
     """
 
     outcome: Outcome
@@ -72,7 +78,7 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """0 usable or too calm to tell, 1 not usable."""
+        """0 usable, partly judged or too calm to tell, 1 not usable."""
         return 1 if self.refused else 0
 
     def to_dict(self) -> dict[str, Any]:
@@ -83,14 +89,18 @@ class Verdict:
             "outcome": self.outcome.value,
             "flights": list(self.flights),
             "groups": [
-                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(g).items()}
+                {
+                    k: None if isinstance(v, float) and not math.isfinite(v) else v
+                    for k, v in asdict(g).items()
+                }
                 for g in self.groups
             ],
         }
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Verdict:
-        """The verdict of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is incomplete."""
+        """The verdict of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is
+        incomplete."""
         return Verdict(
             outcome=Outcome(data["outcome"]),
             line=str(data["line"]),

@@ -36,7 +36,8 @@ class GPChoices(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class GPOptions:
-    """All choices of a training. Raises `UnknownNameError` and `ModelError` for what there is not."""
+    """All choices of a training. Raises `UnknownNameError` and `ModelError` for what there is
+    not."""
 
     kernel: str = "se"
     """"se" (ARD), "matern32", "matern52", or "linear+" one of these."""
@@ -44,7 +45,8 @@ class GPOptions:
     """"sgpr" (all data projected on the support points), "svgp" (the same start, then `epochs` of
     mini-batches) or "exact" (every sample a support point)."""
     points: int | str = 100
-    """Number of support points, or "auto": the smallest whose held-out NLPD is as good as the best."""
+    """Number of support points, or "auto": the smallest whose held-out NLPD is as good as the
+    best."""
     seed: int = 0
     """Seed of subsets, restarts and held-out samples."""
     restarts: int = 2
@@ -52,15 +54,18 @@ class GPOptions:
     noise: str = "white"
     """"white", "per-group", or "auto" (per group where the BIC says so)."""
     noise_inflation: str | float = "auto"
-    """"auto" (integrated autocorrelation time of the standardised errors within groups), or a factor."""
+    """"auto" (integrated autocorrelation time of the standardised errors within groups), or a
+    factor."""
     share_kernel: bool = False
     """One kernel for all outputs, which is cheaper to evaluate."""
     prior_mean: str = "zero"
-    """"zero" (what is far from the data is left to the physics) or "constant" (the training mean)."""
+    """"zero" (what is far from the data is left to the physics) or "constant" (the training
+    mean)."""
     subset: int = 400
     """Samples of the exact likelihood."""
     hold_out: float = 0.25
-    """Share of the samples, in whole groups, that judges whether the GP beats a constant; 0: no judgement."""
+    """Share of the samples, in whole groups, that judges whether the GP beats a constant; 0: no
+    judgement."""
     polish: bool = False
     """Gradient polish of support points and hyper-parameters."""
     guard: bool = True
@@ -80,14 +85,19 @@ class GPOptions:
         points, factor = self.points, self.noise_inflation
         if points != "auto" and (isinstance(points, str) or points < 1):
             raise ModelError(
-                "the number of support points", expected='a positive number or "auto"', got=repr(points)
+                "the number of support points",
+                expected='a positive number or "auto"',
+                got=repr(points),
             )
         if factor != "auto" and (isinstance(factor, str) or not 1.0 <= factor < math.inf):
-            raise ModelError("noise_inflation", expected='"auto" or a factor of at least 1', got=repr(factor))
+            raise ModelError(
+                "noise_inflation", expected='"auto" or a factor of at least 1', got=repr(factor)
+            )
 
     @classmethod
     def of(cls, options: GPOptions | None, choices: GPChoices) -> GPOptions:
-        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        """`options` (None: the defaults) with the `choices` in place of its own. Raises
+        `UnknownNameError`."""
         return chosen("option of a Gaussian process", options or cls(), choices)
 
     def but(self, **choices: Unpack[GPChoices]) -> GPOptions:

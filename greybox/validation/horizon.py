@@ -54,6 +54,15 @@ def find_origins(
     return [f for f in found if len(f)]
 
 
+def complete_origins(
+    present: npt.NDArray[np.bool_], origins: IntArray, *, required: int = REQUIRED
+) -> npt.NDArray[np.bool_]:
+    """Which origins k (n,) have a reference at each of k..k+required, (n,), where `present` (N,) says what is there."""
+    total = np.concatenate([[0], np.cumsum(present)])
+    complete: npt.NDArray[np.bool_] = total[origins + required + 1] - total[origins] == required + 1
+    return complete
+
+
 @dataclass(kw_only=True)
 class _Sums:
     """Running sums of one group in one flight, (H,) each."""
@@ -158,9 +167,7 @@ class HorizonAccumulator:
         """Which origins count: the same ones for every predictor, so that rows of a table compare."""
         if self.missing == "step":
             return np.logical_or.accumulate(present)[starts]
-        total = np.concatenate([[0], np.cumsum(present)])
-        complete: npt.NDArray[np.bool_] = total[starts + self.required + 1] - total[starts] == self.required + 1
-        return complete
+        return complete_origins(present, starts, required=self.required)
 
     def _sum(
         self,
@@ -214,8 +221,14 @@ class HorizonAccumulator:
             parts: Sequence[_Sums] = [f[g] for f in self._flights.values() if g in f and f[g].origins]
             if parts:
                 pooled[g] = _finish(parts)
+        measured = {g for f in self._flights.values() for g in f}
         return HorizonTable(
-            label=self.label, sample_time=self.sample_time, required=self.required, groups=pooled, flights=flights
+            label=self.label,
+            sample_time=self.sample_time,
+            required=self.required,
+            groups=pooled,
+            flights=flights,
+            unjudged=tuple(g for g in GROUPS if g in measured and g not in pooled),
         )
 
 

@@ -43,13 +43,17 @@ class GroupErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class HorizonTable:
-    """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them."""
+    """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them.
+
+    `unjudged` groups were measured, but no origin had the references that it needs.
+    """
 
     label: str
     sample_time: float
     required: int
     groups: Mapping[str, GroupErrors]
     flights: Mapping[str, Mapping[str, GroupErrors]] = field(default_factory=dict)
+    unjudged: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:

@@ -114,8 +114,9 @@ def judge(
     """The verdict on a model from its multi-step errors, those of holding the last value, and of dead reckoning.
 
     The tables are those of `greybox.validation.validate.Validation` (the same origins in all). Horizons are every sample
-    up to `standard.longest`, as far as the tables reach. `hints` are what else was seen (`greybox.validation.advice`).
-    Raises `DataError` where the tables share no group or end before `standard.minimum`.
+    up to `standard.longest`, as far as the tables reach. A group that was measured and has no errors (`unjudged` of the
+    model's table) is named, and what is left is at best judged in part. `hints` are what else was seen
+    (`greybox.validation.advice`). Raises `DataError` where the tables share no group or end before `standard.minimum`.
     """
     rule = standard or Standard()
     dt = model.sample_time
@@ -137,7 +138,7 @@ def judge(
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
     compared = [_compare(g, model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups]
-    return _conclude(compared, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
+    return _conclude(compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
 
 
 def _compare(
@@ -198,6 +199,7 @@ def _index(seconds: FloatArray, wanted: float) -> int:
 
 def _conclude(
     compared: Sequence[_Comparison],
+    unjudged: Sequence[str],
     seconds: FloatArray,
     at: int,
     rule: Standard,
@@ -213,7 +215,7 @@ def _conclude(
     useful = float(seconds[ends - 1]) if ends else 0.0
     groups = tuple(_skill(c, seconds, at) for c in compared)
     idle = [c for kind in KINDS for c in _no_better([c for c in counted if c.name in kind], slice(first, at + 1), rule)]
-    wrecked = [c for c in counted if not c.model[at] <= rule.wrecked * c.last[at]]
+    wrecked = [c for c in counted if c.model[at] > rule.wrecked * c.last[at]]  # NaN: nothing to compare
     reason = action = anchor = ""
     if ends <= first or wrecked or any(not c.calm for c in idle):
         outcome = Outcome.NOT_USABLE
@@ -223,7 +225,7 @@ def _conclude(
             worst = max(wrecked, key=lambda c: float(c.model[at] / c.last[at]))
         else:
             worst = next(c for c in idle if not c.calm)
-        if not np.isfinite(worst.model[: at + 1]).all():
+        if np.isinf(worst.model[: at + 1]).any():
             hints.append(Hint(symptom=Symptom.DIVERGED))
         lost = ends <= first or bool(wrecked)
         reason, action, anchor = likely(hints, symptom_of_group(worst.name) if lost else Symptom.NO_BETTER)
@@ -248,6 +250,15 @@ def _conclude(
             f"{_useful(useful, len(seconds) == ends)}: errors stay below holding the last value; "
             f"{seconds[at]:.2g} s ahead {', '.join(_compared(g) for g in groups)}"
         )
+    if unjudged:
+        lost_groups = f"{' and '.join(map(_word, unjudged))} could not be judged: too many samples missing"
+        if outcome is Outcome.USABLE:
+            outcome = Outcome.PARTLY_JUDGED
+            action, anchor = "greybox check names the gaps", Symptom.LOG_FAULT.anchor
+            reason = lost_groups
+            line = f"{lost_groups}; {action} ({anchor}). The rest is {line}"
+        else:
+            line += f". {lost_groups[0].upper()}{lost_groups[1:]}"
     if judged_on != TEST_FLIGHTS:
         line += f" [judged on {judged_on}]"
     return Verdict(

@@ -9,7 +9,7 @@ a reference, never a measurement. The rows beside each table are persistence (ce
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,13 +26,13 @@ from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.advice import Hint, Symptom
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
 from greybox.validation.groups import GROUPS
-from greybox.validation.horizon import REQUIRED, HorizonAccumulator
+from greybox.validation.horizon import REQUIRED, HorizonAccumulator, complete_origins
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.horizons import HORIZONS, horizons_of
 from greybox.validation.one_step import OneStep
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 from greybox.validation.result import Validation
-from greybox.validation.samples import BoolArray
+from greybox.validation.samples import BoolArray, complete_rows
 from greybox.validation.stated import stated_covariances
 from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, Standard, judge
 
@@ -44,8 +44,9 @@ SPACING = 0.01
 neighbours tell the same."""
 STATED = 0.1
 """Seconds between the origins whose uncertainty is propagated and judged (neighbours tell the same)."""
-SPARSE = 0.8
-"""Below this share of samples with a reference, horizons without a reference sample drop out instead of origins."""
+SURVIVING = 0.5
+"""Below this share of origins with every reference sample, in any group, horizons without a reference drop out instead of
+origins: lost samples that lie here and there empty the table (2 % leave a third of the origins of 51 samples, 10 % none)."""
 
 
 def validate(
@@ -125,10 +126,13 @@ class _Work:
         self.groups = self.reader.judged(self.dataset.any_channels)
         dt = self.model.sample_time
         self.steps = max(REQUIRED, self.wanted[-1], round(Standard().longest / dt))
-        share = min((_share(self.dataset, g) for g in self.groups), default=1.0)
-        missing = "origin" if share >= SPARSE else "step"
+        share = min((self._surviving(g) for g in self.groups), default=1.0)
+        missing = "origin" if share >= SURVIVING else "step"
         if missing == "step":
-            self.warnings.append(f"only {share:.0%} of the samples have a reference: horizons without one are left out")
+            self.warnings.append(
+                f"only {share:.0%} of the origins have a reference at each of their {REQUIRED} steps: horizons without one "
+                "are left out"
+            )
         self.rows = {
             label: HorizonAccumulator(label=label, sample_time=dt, steps=self.steps, missing=missing)
             for label in ("model", "measured start", "persistence", "dead reckoning")
@@ -153,21 +157,41 @@ class _Work:
             )  # fmt: skip
         adapted = self._adapted(flight)
         p = self.model.flight_vector(flight.name) if adapted is None else self.model.parameter_vector(adapted.values)
-        begin = float(flight.segments[0].t[0])
-        after = begin if self.adapt is None else begin + self.adapt
         bias = self._imu_bias(flight)
         spread = {} if adapted is None else adapted.std
         for i, segment in enumerate(flight.segments):
             x0, sigma = (adapted.x0, adapted.x0_sigma) if adapted is not None and i == 0 else (None, None)
             filtered = self.filter.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
-            late = segment.t >= after - 1e-9
-            late[: max(3, round(self.skip / segment.dt)) - 1] = False
+            late = self._late(flight, segment)
             self.one_step.add(flight.name, filtered, late)
             self._roll_out(flight.name, segment, filtered, late, bias, spread)
         self.flights.append(
             {"name": flight.name, "samples": flight.n, "seconds": flight.duration, "notes": list(flight.notes)}
         )
         self._extrapolation(flight)
+
+    def _late(self, flight: Flight, segment: Segment) -> BoolArray:
+        """Samples after the seconds of adaptation and the start of the segment, (N,)."""
+        late: BoolArray = segment.t >= float(flight.segments[0].t[0]) + (self.adapt or 0.0) - 1e-9
+        late[: max(3, round(self.skip / segment.dt)) - 1] = False
+        return late
+
+    def _origins(self, late: BoolArray) -> IntArray:
+        """The origins of a segment: late enough, and with all required steps ahead."""
+        origins = np.flatnonzero(late)
+        return origins[origins < len(late) - REQUIRED][:: self.every]
+
+    def _surviving(self, group: str) -> float:
+        """Share of the origins with a reference at each required step, where the group was measured at all."""
+        complete, count = 0, 0
+        for flight in self.dataset:
+            for segment in flight.segments:
+                there = complete_rows(_matrix(segment, group))
+                if there.any():
+                    origins = self._origins(self._late(flight, segment))
+                    complete += int(complete_origins(there, origins, required=REQUIRED).sum())
+                    count += len(origins)
+        return complete / count if count else 1.0
 
     def _adapted(self, flight: Flight) -> Adaptation | None:
         if self.adapt is None:
@@ -202,8 +226,7 @@ class _Work:
     def _roll_out(
         self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]
     ) -> None:  # fmt: skip
-        origins = np.flatnonzero(late)
-        origins = origins[origins < segment.n - REQUIRED][:: self.every]
+        origins = self._origins(late)
         references = {g: _matrix(segment, g) for g in self.groups}
         references = {g: r for g, r in references.items() if np.isfinite(r).all(axis=1).any()}
         if not references:
@@ -311,6 +334,11 @@ class _Work:
                 if label == "model":
                     self.warnings.append(f"no multi-step table: {error}")
         own = tables["model"]
+        if own is not None:
+            measured = [
+                g for g in self.groups if any(complete_rows(_matrix(s, g)).any() for s in self.dataset.segments)
+            ]
+            own = replace(own, unjudged=tuple(g for g in measured if g not in own.groups))
         if own is not None and own.diverged:
             self.warnings.append(f"{own.diverged} open-loop predictions were not finite: their error is infinite")
         verdict = None
@@ -360,13 +388,3 @@ def _matrix(segment: Segment, group: str) -> FloatArray:
 
 def _imu(segment: Segment) -> ImuRecord:
     return ImuRecord.of(_matrix(segment, "rate"), _matrix(segment, "specific_force"), sample_time=segment.dt)
-
-
-def _share(dataset: Dataset, group: str) -> float:
-    """Share of samples with a reference, over the flights that have the group at all."""
-    seen, count = 0, 0
-    for segment in dataset.segments:
-        there = np.isfinite(_matrix(segment, group)).all(axis=1)
-        if there.any():
-            seen, count = seen + int(there.sum()), count + segment.n
-    return seen / count if count else 1.0

@@ -1,7 +1,7 @@
 """The demo: shipped real flights, end to end, through the command line that a user would type.
 
-Checks the logs, fits the Newton-Euler model to the training flights, validates on flights that the fit never saw with
-per-flight parameters adapted on their first five seconds, and writes a report. Then the story of a missing effect: what
+Checks the logs, fits the Newton-Euler model to the training flights by the plain command, which decides everything from the
+flights and judges on others that the fit never saw, and writes a report. Then the story of a missing effect: what
 `greybox discover` finds in a simulated vehicle whose file does not know its rotors' drag.
 
     make demo      (or: python -m scenarios.studies.demo --out demo_out)
@@ -17,7 +17,6 @@ from pathlib import Path
 from greybox.cli import main as greybox
 from scenarios.flights import nanobench_split, vehicle_path
 from scenarios.studies.discovery_story import main as tell
-from scenarios.studies.nanobench import options
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,9 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     greybox(["check", "--vehicle", vehicle, *map(str, train)])
     print("\n2. Fit, then validate on flights that the fit never saw.")
     code = greybox(
-        ["fit", "--vehicle", vehicle, "--train", *map(str, train), "--test", *map(str, test), *options(),
-         "--adapt", "5", "--out", arguments.out]
-    )  # fmt: skip
+        ["fit", "--vehicle", vehicle, "--train", *map(str, train), "--test", *map(str, test), "--out", arguments.out]
+    )
     if code == 2:
         return code
     story = Path(arguments.out) / "missing_effect"

@@ -1,22 +1,14 @@
 """The NanoBench flights through greybox: fitted on nine, judged on five; or every type of trajectory held out once.
 
-    python -m scenarios.studies.nanobench [--leave-one-type-out] [--out DIR]
+    python -m scenarios.studies.nanobench [--by-hand] [--leave-one-type-out] [--out DIR]
 
-The first form is the same as this command line:
+What is fitted is decided from the flights, as by plain `greybox fit`; --by-hand takes the recipe below instead, which the
+comparison of methods was made with (docs/compare.md).
 
-    F=scenarios/flights/nanobench
-    greybox fit --vehicle $F/vehicle.toml --train <nine logs> --test <five logs> --adapt 5 --out DIR \
-      --effects motor_lag,command_delay,battery_sag,rotor_drag,blade_flapping,rotational_damping,rotor_asymmetry,\
-    accelerometer_bias,gyro_bias,mocap_misalignment,pose_delay \
-      --per-flight thrust.c2,rotor_asymmetry.delta_1,rotor_asymmetry.delta_2,rotor_asymmetry.delta_3,\
-    mocap_misalignment.theta_x,mocap_misalignment.theta_y,mocap_misalignment.theta_z,pose_delay.d \
-      --fixed mass,battery_sag.c_V,torque.c2 --value battery_sag.c_V=1 --disturbance force,torque \
-      --kinematic-noise --hold-noise sensor --init innovation --predictor multi-step
-
-Why: attitude and position come from another clock than gyro, accelerometer and commands, and drift against them by some
-10 ms; sensor levels are therefore held at what the vehicle file says, the disagreement is noise on the attitude
-kinematics, and the parameters come from errors up to half a second ahead. Mass and thrust scale only as a ratio, and
-yaw is hardly excited, so that mass and the rotors' drag torque stay at their published values.
+Why by hand so: attitude and position come from another clock than gyro, accelerometer and commands, and drift against
+them by some 10 ms; sensor levels are therefore held at what the vehicle file says, the disagreement is noise on the
+attitude kinematics, and the parameters come from errors up to half a second ahead. Mass and thrust scale only as a ratio,
+and yaw is hardly excited, so that mass and the rotors' drag torque stay at their published values.
 """
 
 from __future__ import annotations
@@ -25,6 +17,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from greybox import automatic
 from greybox.data import Dataset
 from greybox.data.logs import read_logs
 from greybox.estimation.fit import Fit, fit
@@ -46,17 +39,8 @@ PER_FLIGHT = (
 FIXED = ("mass", "battery_sag.c_V", "torque.c2")
 
 
-def options() -> list[str]:
-    """The same choices as options of `greybox fit`."""
-    return [
-        "--effects", ",".join(EFFECTS), "--per-flight", ",".join(PER_FLIGHT), "--fixed", ",".join(FIXED),
-        "--value", "battery_sag.c_V=1", "--disturbance", "force,torque", "--kinematic-noise", "--hold-noise", "sensor",
-        "--init", "innovation", "--predictor", "multi-step",
-    ]  # fmt: skip
-
-
-def fit_flights(vehicle: Vehicle, data: Dataset) -> Fit:
-    """The fit of the command line above."""
+def fit_by_hand(vehicle: Vehicle, data: Dataset) -> Fit:
+    """The fit by the recipe."""
     model = build_model(
         vehicle, data.channels, EFFECTS, sample_time=sample_time(data), noncausal=data.noncausal, kinematic_noise=True
     )
@@ -69,6 +53,7 @@ def fit_flights(vehicle: Vehicle, data: Dataset) -> Fit:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit, validate, print; with --out also write models and results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--by-hand", action="store_true", help="by the recipe of this file, nothing decided")
     parser.add_argument("--leave-one-type-out", action="store_true", help="every type of trajectory held out once")
     parser.add_argument("--out", metavar="DIR", help="folder for models and results")
     options = parser.parse_args(arguments)
@@ -83,7 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         }
     total: dict[tuple[str, int], tuple[float, int]] = {}
     for name, (train, held_out) in folds.items():
-        result = fit_flights(vehicle, data.select(train))
+        flights = data.select(train)
+        result = fit_by_hand(vehicle, flights) if options.by_hand else automatic.fit(vehicle, flights)
         checked = validate(result.model, data.select(held_out), adapt=5.0, measured_start=True)
         print(f"\n{name}: {', '.join(held_out)}\n{result.summary()}\n{checked.format()}", flush=True)
         if options.out:

@@ -31,7 +31,8 @@ def test_a_hidden_drag_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "effects: 29 of 29" in capsys.readouterr().out
     assert main(["check", a, "--vehicle", vehicle]) == 0
     fitted = tmp_path / "fit"
-    assert main(["fit", "--vehicle", vehicle, "--train", a, b, "--effects", "rotor_drag", "--out", str(fitted)]) == 0
+    arguments = ["fit", "--manual", "--vehicle", vehicle, "--train", a, b, "--effects", "rotor_drag"]
+    assert main([*arguments, "--out", str(fitted)]) == 0
     assert main(["validate", str(fitted / "model.json"), "--log", c]) == 0
     out = tmp_path / "found.json"
     arguments = ["discover", "--vehicle", vehicle, "--train", a, b, "--test", c, "--out", str(tmp_path / "found")]

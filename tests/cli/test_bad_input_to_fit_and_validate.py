@@ -101,7 +101,7 @@ CASES: dict[str, tuple[list[str], Callable[[Path], None] | None, str]] = {
         "p, q, r",
     ),
     "two sample times": (
-        ["--train", "a.csv", "c.csv"],
+        ["--manual", "--train", "a.csv", "c.csv"],
         lambda d: _edit(d / "b.csv", d / "c.csv", _slower) and None,
         "sample time",
     ),

@@ -28,7 +28,7 @@ class Refits:
     firsts: list[Any] = field(default_factory=list)
     candidates: Any = field(
         default_factory=lambda: SimpleNamespace(
-            model=SimpleNamespace(sample_time=0.01), late_alike=None,
+            physics=SimpleNamespace(sample_time=0.01), late_alike=None,
             parameters=dict.fromkeys(("motor_lag", "command_delay")),
         )
     )

@@ -46,8 +46,8 @@ def commands() -> None:
         run("vehicle", "check", f"{template}.toml")
     run("inspect", TRAIN, "--vehicle", VEHICLE)
     run("check", TRAIN, "--vehicle", VEHICLE)
-    run("fit", "--vehicle", VEHICLE, "--rate", "200", "--effects", "motor_lag,command_delay", "--train", TRAIN,
-        "--test", TEST, "--out", "fitted", code=1)  # fmt: skip
+    run("fit", "--manual", "--vehicle", VEHICLE, "--rate", "200", "--effects", "motor_lag,command_delay",
+        "--train", TRAIN, "--test", TEST, "--out", "fitted", code=1)  # fmt: skip
     # Without disturbances this model loses to the last value on the other log, which is said and has to be overruled.
     assert run("validate", "fitted/model.json", "--log", TEST, code=1).startswith("NOT USABLE")
     run("export", "fitted/model.json", "--out", "craft", "--no-cache", code=1)

@@ -202,6 +202,21 @@ def test_the_flights_that_were_fitted_are_named_as_such() -> None:
     assert verdict_of(own(), judged_on=FITTED_FLIGHTS).line.endswith("[judged on the flights that were fitted]")
 
 
+def test_a_group_that_was_measured_and_could_not_be_judged_is_named() -> None:
+    known = {g: c for g, c in own().items() if g != "position"}
+    last = {g: held()[g] for g in known}
+    found = judge(replace(table("model", known), unjudged=("position",)), table("persistence", last))
+    assert found.outcome is Outcome.PARTLY_JUDGED
+    assert found.exit_code == 0
+    assert found.line.startswith("position could not be judged: too many samples missing")
+    assert "The rest is useful for 1 s" in found.line
+    assert Verdict.from_dict(json.loads(dump_json(found.to_dict()))) == found
+    bad = {g: 3.0 * c for g, c in last.items()}
+    found = judge(replace(table("model", bad), unjudged=("position",)), table("persistence", last))
+    assert found.outcome is Outcome.NOT_USABLE
+    assert "Position could not be judged" in found.line
+
+
 def test_too_little_data_is_refused() -> None:
     short = {g: c[:5] for g, c in held().items()}
     with pytest.raises(DataError, match="not enough to judge"):

@@ -21,6 +21,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel, sensors_for
 from greybox.model.parameter import ParameterValues
 from greybox.model.vehicle import read_vehicle
+from greybox.model.verdict import Outcome
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.open_loop import GroupReader, predict_from, started_at_measurement
 from greybox.validation.validate import validate
@@ -115,6 +116,32 @@ def test_a_missing_sample_takes_its_origins_with_it() -> None:
     result = validate(model, dataset(segment.replace({"x": x})), use_compiler=False)
     assert result.table.groups["position"].left_out == 51
     assert result.table.groups["rate"].left_out == 0
+
+
+def without_samples(segment: Segment, lost: np.ndarray) -> Segment:
+    return segment.replace({n: np.where(lost, np.nan, segment.channels[n]) for n in COLUMNS[:7]})
+
+
+@pytest.mark.parametrize("share", [0.02, 0.17])
+def test_drop_outs_here_and_there_take_no_group_from_the_verdict(share: float) -> None:
+    model = make_model()
+    segment = fly(model, 400, noise=1.0)
+    lost = np.random.default_rng(0).random(400) < share
+    result = validate(model, dataset(without_samples(segment, lost)), use_compiler=False)
+    assert {"position", "rotation", "rate"} <= set(result.table.groups)
+    assert result.table.unjudged == ()
+    assert any("are left out" in w for w in result.warnings)
+    assert result.verdict.outcome is not Outcome.PARTLY_JUDGED
+
+
+def test_a_group_measured_only_where_no_origin_is_could_not_be_judged() -> None:
+    model = make_model()
+    segment = fly(model, 400, noise=1.0)
+    result = validate(model, dataset(without_samples(segment, np.arange(400) < 370)), use_compiler=False)
+    assert result.table.unjudged == ("position", "rotation")
+    assert "osition and rotation could not be judged: too many samples missing" in result.verdict.line
+    assert result.verdict.outcome is not Outcome.USABLE
+    assert result.judged().verdict == result.verdict
 
 
 def test_smoothed_channels_are_a_reference_and_never_a_measurement() -> None:

@@ -131,6 +131,9 @@ class _Chain:
             self._first(kept)
             return kept
         self.say(f"{title}, {stage.about}{self._left(number)}")
+        # From here on its files may be those of other input: it is not done until it is done again.
+        if self.kept.pop(stage.name, None) is not None:
+            write_record(self.request.out, None, self._records(), self.command)
         record = self._work(stage, work, key)
         self._first(record)
         return record

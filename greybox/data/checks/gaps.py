@@ -69,7 +69,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 where=f"channel {name}",
                 message=f"{100 * share:.0f} % of the cells are empty",
                 evidence={"missing_share": share},
-                fix="log that channel faster, or fit with --predictor kalman",
+                fix="log that channel faster or in a steady rhythm, or fit with --predictor kalman",
             )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.airframe import Airframe
+from greybox.data.airframe import Airframe, ThrustMap, Weighed
 from greybox.data.checks.finding import Check, Finding, Unjudged
 from greybox.data.checks.torque import Torque, directions, expected_signs, torque_regression
 from greybox.data.checks.view import FloatArray, View
@@ -139,13 +139,12 @@ def promised_gain(vehicle: Airframe) -> FloatArray | None:
 
     The thrust map is taken by its slope at the thrust that carries the weight.
     """
-    inertia = getattr(vehicle, "inertia", None)
-    thrust = getattr(vehicle.actuator, "thrust", None)
-    mass = getattr(vehicle, "mass", None)
-    if inertia is None or thrust is None or mass is None:
+    actuator = vehicle.actuator
+    if not isinstance(vehicle, Weighed) or not isinstance(actuator, ThrustMap):
         return None
-    c0, c1, c2 = (float(c.value) for c in thrust)
-    share = float(mass.value) * vehicle.gravity / len(vehicle.rotors)
+    inertia = vehicle.inertia
+    c0, c1, c2 = (float(c.value) for c in actuator.thrust)
+    share = float(vehicle.mass.value) * vehicle.gravity / len(vehicle.rotors)
     if c2 > 0:
         inner = c1 * c1 - 4 * c2 * (c0 - share)
         nu = (-c1 + math.sqrt(inner)) / (2 * c2) if inner > 0 else 1.0

@@ -1,12 +1,14 @@
-"""Innovation form with a gain that does not follow the flight: the one-step predictor of a model with process noise.
+"""Innovation form with a gain that does not follow the flight: the one-step predictor of a model
+with process noise.
 
     x_hat(k+1) = F(x_hat(k), u_k) boxplus K e_k,   e_k = y_k - h(x_hat(k), u_k),   cov(e) = S
 
-K and S follow from the noise levels (and parameters) by the Riccati equation at a reference point, from the spread of the
-start until they have settled (`greybox.estimation.settling`); where channels are missing the same state covariance gives
-the gain of those that are there. Errors of the start that samples tell are integrated out so, the others are unknowns.
-Sensitivities include dK and dS: they are the exact derivatives of the predictor. (Ljung 1999, System Identification, sec.
-4.3 and 7.2; Jategaonkar 2015, Flight Vehicle System Identification, ch. 5: filter-error method.)
+K and S follow from the noise levels (and parameters) by the Riccati equation at a reference point,
+from the spread of the start until they have settled (`greybox.estimation.settling`); where channels
+are missing the same state covariance gives the gain of those that are there. Errors of the start
+that samples tell are integrated out so, the others are unknowns. Sensitivities include dK and dS:
+they are the exact derivatives of the predictor. (Ljung 1999, System Identification, sec. 4.3 and
+7.2; Jategaonkar 2015, Flight Vehicle System Identification, ch. 5: filter-error method.)
 """
 
 from __future__ import annotations
@@ -27,15 +29,16 @@ from greybox.estimation.settling import RecordGains, Settling
 from greybox.symbolic import BoolArray, FloatArray
 
 FORGOTTEN = 1e-100
-"""Sensitivity that is zero for the next piece. Of its start a long record forgets everything; numbers below 1e-308, which
-the decay would otherwise end in, take ten times as long."""
+"""Sensitivity that is zero for the next piece. Of its start a long record forgets everything;
+numbers below 1e-308, which the decay would otherwise end in, take ten times as long."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InnovationPrepared:
-    """What the innovation form works out once: the step linearised symbolically, the reference (state (n_x,), command
-    window (n_u, past + 1 + future)) that it is evaluated at, what lost commands push (None where none was lost), and the
-    variances (n_d,) of the very weak pseudo-measurement of every error state."""
+    """What the innovation form works out once: the step linearised symbolically, the reference
+    (state (n_x,), command window (n_u, past + 1 + future)) that it is evaluated at, what lost
+    commands push (None where none was lost), and the variances (n_d,) of the very weak
+    pseudo-measurement of every error state."""
 
     linearisation: Linearisation
     reference: tuple[FloatArray, FloatArray]
@@ -45,10 +48,11 @@ class InnovationPrepared:
 
 @dataclass(frozen=True, kw_only=True)
 class StationaryGain(Predictor[Prepared_co]):
-    """Innovation form with a gain that does not follow the flight; members say where the gain comes from.
+    """Innovation form with a gain that does not follow the flight; members say where the gain comes
+    from.
 
-    Records of more than `piece` samples come in pieces, as the sensitivities of one hour do not fit into
-    memory; the numbers are the same.
+    Records of more than `piece` samples come in pieces, as the sensitivities of one hour do not fit
+    into memory; the numbers are the same.
     """
 
     has_noise: ClassVar[bool] = True
@@ -56,7 +60,8 @@ class StationaryGain(Predictor[Prepared_co]):
 
     @abstractmethod
     def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
-        """The filter of every record at `theta`, and with `slopes` its derivatives in local columns. Raises `FitError`."""
+        """The filter of every record at `theta`, and with `slopes` its derivatives in local
+        columns. Raises `FitError`."""
 
     def blocks(self, problem: Problem, theta: FloatArray, jacobian: bool) -> Iterable[Block]:
         """Innovations of every record, one after the other: what is done with may be forgotten."""
@@ -75,30 +80,46 @@ class StationaryGain(Predictor[Prepared_co]):
             s: FloatArray | None = None
             if jacobian:
                 s = np.zeros((engine.nd, columns.size))
-                # Derivative of the moved start in its own chart (identity to first order in the small move).
+                # Derivative of the moved start in its own chart (identity to first order in the
+                # small move).
                 s[:, columns.size - initial.size :] = moved
             p = problem.parameters_of(theta, record.flight)
             length = self.piece if jacobian else record.n
             for begin in range(0, record.n, length):
                 rows = slice(begin, min(begin + length, record.n))
                 run = engine.run(
-                    x0=x, inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
-                    outputs=record.outputs[rows], mask=record.mask[rows], pattern=pattern[rows], gains=gains, p=p,
-                    dt=record.dt, s0=s,
-                    want=frozenset({"innovations", "sensitivity"}) if jacobian else frozenset({"innovations"}),
-                )  # fmt: skip
+                    x0=x,
+                    inputs=record.inputs[begin : rows.stop + engine.past + engine.future],
+                    outputs=record.outputs[rows],
+                    mask=record.mask[rows],
+                    pattern=pattern[rows],
+                    gains=gains,
+                    p=p,
+                    dt=record.dt,
+                    s0=s,
+                    want=frozenset({"innovations", "sensitivity"})
+                    if jacobian
+                    else frozenset({"innovations"}),
+                )
                 if run.failed_at is not None:
                     at = begin + run.failed_at
-                    raise FitError(f"the prediction of flight {record.flight} is not finite after sample {at}")
+                    raise FitError(
+                        f"the prediction of flight {record.flight} is not finite after sample {at}"
+                    )
                 assert run.innovations is not None
                 x, s = run.end, run.end_sensitivity
                 if s is not None:
                     s = np.where(np.abs(s) < FORGOTTEN, 0.0, s)
                 yield Block(
-                    record=record, e=run.innovations, mask=record.mask[rows], jacobian=run.sensitivity,
-                    columns=columns, covariance=covariance, covariance_slope=slope,
+                    record=record,
+                    e=run.innovations,
+                    mask=record.mask[rows],
+                    jacobian=run.sensitivity,
+                    columns=columns,
+                    covariance=covariance,
+                    covariance_slope=slope,
                     pattern=pattern[rows],
-                )  # fmt: skip
+                )
 
         count = len(problem.records)
         if jacobian and any(r.n > self.piece for r in problem.records):
@@ -134,10 +155,13 @@ class Innovation(StationaryGain[InnovationPrepared]):
         return self.settling(problem, theta, slopes).settled()[0]
 
     def gains(self, problem: Problem, theta: FloatArray, slopes: bool) -> list[RecordGains]:
-        """The filter of every record at `theta`, from the spread of its start as far as that is no unknown."""
+        """The filter of every record at `theta`, from the spread of its start as far as that is no
+        unknown."""
         settling = self.settling(problem, theta, slopes)
         spreads = problem.spreads or [None] * len(problem.records)
-        return [settling.gains(r, spread) for r, spread in zip(problem.records, spreads, strict=True)]
+        return [
+            settling.gains(r, spread) for r, spread in zip(problem.records, spreads, strict=True)
+        ]
 
     @property
     def carries_starts(self) -> bool:
@@ -145,18 +169,22 @@ class Innovation(StationaryGain[InnovationPrepared]):
         return True
 
     def told(self, problem: Problem) -> list[BoolArray]:
-        """The initial errors that the linearisation at nominal parameters and noise levels lets the samples tell."""
+        """The initial errors that the linearisation at nominal parameters and noise levels lets the
+        samples tell."""
         prepared, d = problem.prepared(self), problem.dynamics
         x, window = prepared.reference
         p = np.array([q.nominal for q in d.parameters])
         nominal = Settling(
-            values=prepared.linearisation.values(x, window, p, problem.dt), q=d.noise_scale(problem.dt) ** 2,
-            r=d.sensor_scale() ** 2, weak=prepared.weak,
-        )  # fmt: skip
+            values=prepared.linearisation.values(x, window, p, problem.dt),
+            q=d.noise_scale(problem.dt) ** 2,
+            r=d.sensor_scale() ** 2,
+            weak=prepared.weak,
+        )
         return [nominal.told(r) for r in problem.records]
 
     def settling(self, problem: Problem, theta: FloatArray, slopes: bool) -> Settling:
-        """The filter at `theta`; per-flight parameters at their base values. Slopes are in local columns."""
+        """The filter at `theta`; per-flight parameters at their base values. Slopes are in local
+        columns."""
         prepared = problem.prepared(self)
         lin, weak, lost = prepared.linearisation, prepared.weak, prepared.lost
         x, window = prepared.reference
@@ -165,12 +193,18 @@ class Innovation(StationaryGain[InnovationPrepared]):
         q, r = process**2, sensor**2
         if not slopes:
             pushes = None if lost is None else lost.at(x, window, p, problem.dt)
-            return Settling(values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes)
+            return Settling(
+                values=lin.values(x, window, p, problem.dt), q=q, r=r, weak=weak, lost=pushes
+            )
         values, dvalues = lin(x, window, p, problem.dt)
         # A per-flight parameter does not move the common gain.
         shared = np.array([(a, None) in problem.index for a in problem.engine.active], dtype=float)
         dvalues = tuple(v * shared[:, None, None] for v in dvalues)
-        pushes = None if lost is None else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
+        pushes = (
+            None
+            if lost is None
+            else lost.at(x, window, p, problem.dt, problem.engine.columns, shared)
+        )
         na, nw, ne = len(problem.engine.active), q.size, r.size
         free = [problem.place(n) is not None for n in noise_names(problem)]
         dq = np.zeros((na + nw + ne, nw))
@@ -179,7 +213,14 @@ class Innovation(StationaryGain[InnovationPrepared]):
         dr[na + nw + np.arange(ne), np.arange(ne)] = 2 * r
         keep = np.concatenate([np.ones(na, dtype=bool), np.array(free)])
         return Settling(
-            values=values, q=q, r=r, weak=weak, slopes=dvalues, dq=dq[keep], dr=dr[keep], lost=pushes
+            values=values,
+            q=q,
+            r=r,
+            weak=weak,
+            slopes=dvalues,
+            dq=dq[keep],
+            dr=dr[keep],
+            lost=pushes,
         )
 
 

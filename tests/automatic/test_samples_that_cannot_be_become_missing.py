@@ -1,0 +1,165 @@
+"""Samples that no craft can have made become missing, are counted and listed; real motion, however fast, is not touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from greybox.automatic.fit import prepare
+from greybox.automatic.samples import OVERSPEED, without_impossible
+from tests.automatic.craft import flown, raw, vehicle, with_channel
+
+TOP = 2500.0
+"""speed_max of the vehicle file."""
+
+
+@pytest.fixture(scope="module")
+def log():
+    return raw(flown()[0])
+
+
+def test_a_sound_log_is_handed_on_as_it_is(log):
+    same, removed = without_impossible(log, vehicle())
+    assert same is log
+    assert removed == ()
+
+
+@pytest.mark.parametrize(("spike", "why"), [(33_000.0, "outside its range"), (4000.0, f"{OVERSPEED * TOP:.4g} rad/s")])
+def test_rotor_speeds_far_beyond_the_top_speed_are_missing_and_counted(log, spike, why):
+    assert vehicle().actuator.speed_max == TOP
+    at = [100, 101, 300, 420, 700]
+    speeds = log.channels["omega2"].copy()
+    speeds[at] = spike
+    clean, (removed,) = without_impossible(with_channel(log, omega2=speeds), vehicle())
+    assert np.flatnonzero(np.isnan(clean.channels["omega2"])).tolist() == at
+    assert (removed.count, removed.worst, removed.channels) == (5, spike, ("omega2",))
+    assert removed.first_time == log.t[100]
+    assert "5 sample(s) of omega2" in clean.notes[-1]
+    assert why in removed.line()
+    for name in log.channels:
+        if name != "omega2":
+            assert clean.channels[name] is log.channels[name]
+
+
+def test_a_rotor_a_little_beyond_its_top_speed_stays(log):
+    speeds = np.full(log.n, 1.25 * TOP)
+    assert without_impossible(with_channel(log, omega1=speeds), vehicle())[1] == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "jump", "group"),
+    [("x", 0.3, ("x", "y", "z")), ("qy", 0.4, ("qw", "qx", "qy", "qz"))],
+)
+def test_a_jump_that_no_motion_explains_takes_its_whole_sample(log, name, jump, group):
+    values = log.channels[name].copy()
+    values[250] += jump
+    clean, (removed,) = without_impossible(with_channel(log, **{name: values}), vehicle())
+    assert removed.channels == group
+    assert (removed.count, removed.first_time) == (1, log.t[250])
+    for n in group:
+        assert np.flatnonzero(np.isnan(clean.channels[n])).tolist() == [250]
+
+
+def test_a_step_that_stays_is_no_single_sample(log):
+    values = log.channels["x"].copy()
+    values[250:] += 0.3
+    assert without_impossible(with_channel(log, x=values), vehicle())[1] == ()
+
+
+def test_an_attitude_written_with_the_other_sign_is_the_same_attitude(log):
+    names = ("qw", "qx", "qy", "qz")
+    other = {n: log.channels[n].copy() for n in names}
+    for values in other.values():
+        values[[100, 250, 251, 400]] *= -1.0
+    assert without_impossible(with_channel(log, **other), vehicle())[1] == ()
+    other["qy"][400] += 0.4
+    _, (removed,) = without_impossible(with_channel(log, **other), vehicle())
+    assert (removed.channels, removed.count, removed.first_time) == (names, 1, log.t[400])
+
+
+def slow_pose(log):
+    """The log with a pose in every fifth row only, 20 Hz among 100 Hz."""
+    between = np.arange(log.n) % 5 != 0
+    pose = ("x", "y", "z", "qw", "qx", "qy", "qz")
+    return with_channel(log, **{n: np.where(between, np.nan, log.channels[n]) for n in pose})
+
+
+def test_a_slow_pose_among_fast_rows_is_judged_against_its_own_neighbours(log):
+    slow = slow_pose(log)
+    assert without_impossible(slow, vehicle())[1] == ()
+    place = slow.channels["x"].copy()
+    place[250] += 50.0
+    _, (removed,) = without_impossible(with_channel(slow, x=place), vehicle())
+    assert (removed.channels, removed.count, removed.first_time) == (("x", "y", "z"), 1, log.t[250])
+
+
+def test_a_row_with_the_stamp_of_the_one_before_hides_no_spike(log):
+    t, x = log.t.copy(), log.channels["x"].copy()
+    t[251] = t[250]
+    x[250] += 50.0
+    x[251] = np.nan
+    _, (removed,) = without_impossible(replace(with_channel(log, x=x), t=t), vehicle())
+    assert (removed.count, removed.first_time) == (1, log.t[250])
+
+
+def test_what_the_rotors_can_do_is_taken_at_full_command(log):
+    """The same craft with commands in percent: what is possible is what it was."""
+    own = vehicle()
+    c0, c1, c2 = own.actuator.thrust
+    scaled = (c0, replace(c1, value=c1.value / 100), replace(c2, value=c2.value / 1e4))
+    percent = replace(own, actuator=replace(own.actuator, u_max=100.0, thrust=scaled))
+    thrust = 4 * sum(c.value for c in own.actuator.thrust)
+    # Half of the limit, which is 5 times what full thrust explains, and beyond that of gravity alone.
+    push = 2.0 * thrust / own.mass.value + own.gravity
+    still = with_channel(log, **{n: np.zeros(log.n) for n in ("x", "y", "z")})
+    moved = np.zeros(log.n)
+    moved[250] = 2.5 * push * 0.5 * 0.01**2
+    assert 2.5 * push > 5.0 * own.gravity
+    for craft in (own, percent):
+        assert without_impossible(with_channel(still, x=moved), craft)[1] == ()
+
+
+def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
+    speeds = log.channels["omega2"].copy()
+    speeds[100] = 33_000.0
+    bad = with_channel(log, omega2=speeds)
+    (said,) = [d for d in prepare(vehicle(), [bad]).decisions() if d.about == "impossible samples"]
+    assert "1 of omega2 missing in run0" in said.choice
+    assert said.option == "--keep-impossible"
+    assert prepare(vehicle(), [bad], keep_impossible=True).removed == ()
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    frequency=st.floats(0.2, 8.0), size=st.floats(0.0, 1.0), phase=st.floats(0.0, 6.3),
+    rate=st.sampled_from([50.0, 100.0, 500.0]), noise=st.floats(0.0, 0.01), seed=st.integers(0, 99),
+)  # fmt: skip
+def test_smooth_motion_that_the_rotors_can_make_is_never_touched(frequency, size, phase, rate, noise, seed):
+    """A turn about x to and fro at up to full torque, a way to and fro at up to full thrust, with sensor noise."""
+    own, draw = vehicle(), np.random.default_rng(seed)
+    t = np.arange(0.0, 4.0, 1.0 / rate)
+    w = 2 * np.pi * frequency
+    thrust = 4 * own.actuator.thrust[2].value
+    turn = size * 0.0325 * thrust / own.inertia[0][0] / w**2  # amplitude [rad] whose acceleration the rotors can make
+    way = size * thrust / own.mass.value / w**2
+    angle = min(turn, 3.0) * np.sin(w * t + phase)
+    rolling = min(turn, 3.0) * w * np.cos(w * t + phase)
+    zero = np.zeros_like(t)
+
+    def shaken(values: np.ndarray, level: float) -> np.ndarray:
+        return values + noise * level * draw.normal(size=t.size)
+
+    attitude = np.array([shaken(part, 1.0) for part in (np.cos(angle / 2), np.sin(angle / 2), zero, zero)])
+    attitude /= np.linalg.norm(attitude, axis=0)
+    columns = {
+        "t": t, "u1": zero + 0.5, "u2": zero + 0.5, "u3": zero + 0.5, "u4": zero + 0.5,
+        **dict(zip(("qw", "qx", "qy", "qz"), attitude, strict=True)),
+        "p": shaken(rolling, 10.0), "q": shaken(zero, 10.0), "r": shaken(zero, 10.0),
+        "x": shaken(way * np.sin(w * t + phase), 1.0), "y": shaken(zero, 1.0), "z": shaken(zero, 1.0),
+        "vx": shaken(way * w * np.cos(w * t + phase), 10.0), "vy": shaken(zero, 10.0), "vz": shaken(zero, 10.0),
+    }  # fmt: skip
+    assert without_impossible(raw(columns), own)[1] == ()

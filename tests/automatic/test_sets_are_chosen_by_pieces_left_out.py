@@ -1,0 +1,68 @@
+"""The smallest set of effects that foretells pieces left out as well as any; thrust per flight where flights differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.automatic.decide import Decided, Given, decide
+from greybox.automatic.facts import facts_of
+from greybox.automatic.fit import prepare
+from greybox.automatic.foretell import Score
+from greybox.data import Dataset
+from greybox.estimation.recipe import Decision
+from tests.automatic.craft import flight, flights, flown, vehicle
+
+BASE = ("motor_lag", "command_delay", "gyro_bias")
+
+
+def decided(data: Dataset) -> Decided:
+    ready = prepare(vehicle(), data)
+    return decide(vehicle(), ready.data, facts_of(ready.data, vehicle(), ready.report), Given())
+
+
+def of(found: Decided, about: str) -> Decision:
+    (one,) = [d for d in found.decisions if d.about == about]
+    return one
+
+
+@pytest.fixture(scope="module")
+def plain() -> Decided:
+    return decided(flights())
+
+
+def test_without_the_effects_of_the_larger_sets_the_base_set_is_taken(plain):
+    assert plain.recipe.effect_names == BASE
+    assert "one standard error" in of(plain, "effects").reason
+
+
+def test_with_them_the_larger_set_is_taken():
+    found = decided(flights(damping=1e-4))
+    assert set(found.recipe.effect_names) == {*BASE, "rotational_damping"}
+
+
+def test_flights_that_agree_share_one_thrust_scale(plain):
+    assert of(plain, "thrust scale").choice == "one value for all flights"
+    assert "thrust.c2" not in plain.recipe.options.per_flight
+
+
+def test_flights_that_differ_get_one_each():
+    first, second = (dict(c) for c in flown())
+    weaker = {f"u{i}": second[f"u{i}"] * 1.05 for i in range(1, 5)}  # the same motion took more command
+    data = Dataset(flights=(*flight(first, "run0"), *flight(second | weaker, "run1")))
+    found = decided(data)
+    assert found.recipe.options.per_flight == ("thrust.c2",)
+    assert of(found, "thrust scale").choice == "one value per flight"
+    assert found.candidate is not None
+    each = found.candidate.fit["thrust.c2"].per_flight
+    assert each["run1"][0] / each["run0"][0] == pytest.approx(1 / 1.05**2, rel=0.01)
+
+
+def test_scores_are_compared_block_by_block():
+    rough = np.array([1.0, 50.0, 2.0, 40.0])
+    better, worse = Score(blocks=rough), Score(blocks=rough + np.array([0.1, 0.12, 0.08, 0.1]))
+    gain, error = better.better_by(worse)
+    assert gain == pytest.approx(0.1)
+    assert error < 0.01, "a rough piece counts against neither"
+    one = Score(blocks=rough[:1])
+    assert one.better_by(one)[1] == np.inf, "of a single block nobody knows how much it scatters"

@@ -1,0 +1,109 @@
+"""Clocks that wander turn on kinematic noise; of two numbers of which flights show the ratio the better known is held."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.automatic.decide import Given, decide
+from greybox.automatic.facts import WANDER, facts_of
+from greybox.automatic.fit import prepare
+from greybox.data import Dataset
+from tests.automatic.craft import IMU, POSE, RATES, flight, flights, flown, vehicle
+
+SEED, SECONDS = (7,), 20.0
+
+
+def wandering(drift: float) -> Dataset:
+    """A flight whose attitude falls behind its gyro by `drift` [s] from its first to its last sample."""
+    columns = dict(flown(SEED, SECONDS)[0])
+    t = columns["t"]
+    late = t - drift * (t - t[0]) / (t[-1] - t[0])
+    turned = np.column_stack([np.interp(late, t, columns[n]) for n in ("qw", "qx", "qy", "qz")])
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    columns |= dict(zip(("qw", "qx", "qy", "qz"), turned.T, strict=True))
+    return flight(columns, "run0", (*RATES, "qw", "qx", "qy", "qz"))
+
+
+def decided(data: Dataset, given: Given | None = None, **sigma: float):
+    """What is decided of flights that are too short to leave a part out, with the facts of the whole flight."""
+    own = vehicle(**sigma)
+    ready = prepare(own, data)
+    facts = facts_of(ready.data, own, ready.report)
+    short = Dataset(flights=tuple(f.between(0.0, 5.0) or f for f in data))
+    return facts, decide(own, short, facts, given or Given())
+
+
+@pytest.mark.parametrize(("drift", "noise"), [(0.0, False), (0.06, True)])
+def test_clocks_that_wander_turn_on_kinematic_noise(drift, noise):
+    facts, found = decided(wandering(drift))
+    assert (facts.wander > WANDER) is noise
+    assert found.recipe.kinematic_noise is noise
+    (said,) = [d for d in found.decisions if "kinematics" in d.about]
+    assert said.choice == ("yes" if noise else "no")
+    assert f"{facts.wander:.1f} samples" in said.reason
+
+
+def test_kinematic_noise_that_was_refused_stays_off():
+    _, found = decided(wandering(0.06), Given(kinematic_noise=False))
+    assert not found.recipe.kinematic_noise
+    assert not [d for d in found.decisions if "kinematics" in d.about]
+
+
+def test_no_flight_long_enough_takes_the_base_set_and_says_so():
+    _, found = decided(flights())
+    assert found.candidate is None
+    assert found.recipe.effect_names == ("motor_lag", "command_delay", "gyro_bias")
+    (said,) = [d for d in found.decisions if d.about == "effects"]
+    assert "every flight is shorter than 6 s" in said.reason
+
+
+def test_the_better_known_of_two_numbers_of_which_only_the_ratio_shows_is_held_and_considered():
+    for mass, held in ((0.01, "mass"), (0.9, "thrust.c2")):
+        _, found = decided(flights(), mass=mass)
+        assert found.recipe.options.fixed == (held,)
+        assert found.recipe.options.considered == (held,)
+        (said,) = [d for d in found.decisions if d.about == held]
+        assert "only its ratio" in said.reason
+
+
+def test_disturbance_states_only_where_a_sensor_can_feel_them():
+    assert decided(flights())[1].recipe.options.disturbance == ("torque",)
+    assert decided(flights((*IMU, *POSE)))[1].recipe.options.disturbance == ("force", "torque")
+
+
+@pytest.mark.parametrize(
+    ("choices", "about"),
+    [
+        ({"disturbance": ()}, "disturbance states"),
+        ({"fixed": ()}, "mass"),
+        ({"free": ("mass", "inertia.xx")}, "mass"),
+    ],
+)
+def test_each_given_choice_overrules_exactly_its_decision(choices, about):
+    plain, said = (decided(flights(), g, mass=0.01)[1] for g in (Given(), Given(choices=choices)))
+    assert [d for d in plain.decisions if d.about != about] == list(said.decisions)
+    for name, value in choices.items():
+        assert vars(said.recipe.options)[name] == value
+    others = set(vars(plain.recipe.options)) - set(choices) - ({"fixed", "considered"} if about == "mass" else set())
+    for name in others:
+        assert vars(said.recipe.options)[name] == vars(plain.recipe.options)[name]
+
+
+def test_given_effects_and_adaptation_are_taken():
+    _, found = decided(flights(), Given(effects=("motor_lag", "gyro_bias"), adapt=2.0))
+    assert found.recipe.effect_names == ("motor_lag", "gyro_bias")
+    assert found.recipe.adapt == 2.0
+    assert {d.about for d in found.decisions} <= {"effects", "disturbance states"}
+
+
+def test_what_is_considered_seeded_or_started_stays_as_it_was_said():
+    given = Given(choices={"considered": ("thrust.c2",), "seed": 5, "initialisation": "nominal"})
+    options = decided(flights(), given, mass=0.01)[1].recipe.options
+    assert (options.considered, options.seed, options.initialisation) == (("thrust.c2",), 5, "nominal")
+
+
+def test_measured_rotor_speeds_as_input_get_no_effect_of_the_command():
+    _, found = decided(flights((*RATES, "omega1", "omega2", "omega3", "omega4")), Given(input="speed"))
+    assert found.recipe.input == "speed"
+    assert found.recipe.effect_names == ("gyro_bias",)

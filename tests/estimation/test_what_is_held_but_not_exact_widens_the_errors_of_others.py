@@ -1,0 +1,72 @@
+"""A held parameter with a stated error widens the errors of others: as in the joint posterior where a ratio shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from greybox.data import Dataset, dataset_from_arrays
+from greybox.errors import ModelError
+from greybox.estimation.fit import fit
+from greybox.model.dynamics import StateSpaceModel
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Layout, Signal
+
+MASS, SIGMA = 2.0, 0.02
+"""The cart's mass and its stated error [kg]."""
+
+
+def cart(sigma: float = SIGMA) -> StateSpaceModel:
+    """A damped cart of a weighed mass, pushed by gain times voltage: its speed shows gain over mass alone."""
+    speed = Signal(name="speed", unit="m/s")
+    return StateSpaceModel(
+        name="cart", states=Layout([speed]), inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([speed]),
+        parameters=(
+            Parameter(name="gain", unit="N/V", nominal=3.0, lower=0.01, upper=100.0, scale=3.0),
+            Parameter(name="mass", unit="kg", nominal=MASS, sigma=sigma, lower=0.1, upper=10.0, scale=2.0),
+        ),
+        dynamics=lambda t, x, u, p: [-x[0] + p["gain"] / p["mass"] * u],
+        measurement=lambda t, x, u, p: [x[0]],
+        noise_states=("speed",), initial_sigma={"speed": 0.1}, sensor_sigma={"speed": 0.02},
+    )  # fmt: skip
+
+
+def record() -> Dataset:
+    draw, t = np.random.default_rng(0), 0.02 * np.arange(800)
+    u = np.repeat(draw.uniform(-1, 1, 40), 20)
+    x = np.zeros(800)
+    for k in range(799):
+        x[k + 1] = np.exp(-0.02) * x[k] + (1 - np.exp(-0.02)) * 1.5 * u[k]
+    return dataset_from_arrays(t, {"u": u, "speed": x + 0.02 * draw.normal(size=800)}, name="run")
+
+
+CHOICES = {"predictor": "simulation", "use_compiler": False}
+
+
+@pytest.fixture(scope="module")
+def stds() -> dict[str, float]:
+    """Standard error of the gain, with the mass held, considered, free within its prior."""
+    data = record()
+    held = fit(cart(), data, fixed=["mass"], **CHOICES)
+    considered = fit(cart(), data, fixed=["mass"], considered=["mass"], **CHOICES)
+    joint = fit(cart(), data, **CHOICES)
+    assert held["gain"].value == considered["gain"].value
+    return {"held": held["gain"].std, "considered": considered["gain"].std, "joint": joint["gain"].std}
+
+
+def test_the_error_is_that_of_the_joint_posterior(stds):
+    assert stds["considered"] == pytest.approx(stds["joint"], rel=2e-3)
+
+
+def test_it_is_the_error_of_the_ratio_and_that_of_the_mass(stds):
+    assert stds["considered"] == pytest.approx(np.hypot(stds["held"], 3.0 * SIGMA / MASS), rel=1e-2)
+    assert stds["held"] < 0.3 * stds["considered"]
+
+
+@pytest.mark.parametrize(
+    ("sigma", "choices", "why"),
+    [(SIGMA, {}, "not held"), (np.inf, {"fixed": ["mass"]}, "no stated error")],
+)
+def test_what_cannot_be_considered_is_said_before_the_fit(sigma, choices, why):
+    with pytest.raises(ModelError, match=f"mass is considered but .*{why}"):
+        fit(cart(sigma), record(), considered=["mass"], **choices, **CHOICES)
