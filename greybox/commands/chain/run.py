@@ -130,10 +130,10 @@ class _Chain:
             self.say(f"{title} is done ({kept.seconds:.0f} s in an earlier run)")
             self._first(kept)
             return kept
-        self.say(f"{title}, {stage.about}{self._left(number)}")
         # From here on its files may be those of other input: it is not done until it is done again.
         if self.kept.pop(stage.name, None) is not None:
             write_record(self.request.out, None, self._records(), self.command)
+        self.say(f"{title}, {stage.about}{self._left(number)}")
         record = self._work(stage, work, key)
         self._first(record)
         return record
@@ -184,14 +184,15 @@ class _Chain:
     # ------------------------------------------------------------ the end
 
     def _outcome(self) -> Outcome:
-        """The verdict of the model that came out; validate has the last word."""
+        """The verdict of the model that came out; validate may find it worse, not better: what was
+        refused on the way was neither learned from nor exported."""
         choice = best(self.so_far)
         assert choice is not None  # a fit that failed ended the chain
         verdict = choice.verdict
         if self.so_far.ran("validate"):
             last = verdict_of(read_json(self.folders["validate"] / "validate.json"))
-            if last is not None and (verdict is None or last.outcome is not verdict.outcome):
-                verdict = last
+            if last is not None and (verdict is None or last.refused):
+                verdict = verdict if verdict is not None and verdict.refused else last
         if verdict is None:
             code, line = self.done["fit"].exit_code, NOT_JUDGED
         else:
