@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     ours = sys.argv[1:2] == ["identify"]
     words = sys.argv[1:] if ours else ["identify", vehicle, *logs]
-    found = run_chain(request, command=f"greybox {shlex.join(words)}", say=say)
+    found = run_chain(request, command=f"greybox {shlex.join(words)}", say=say, progress=sys.stderr)
     outcome = found.outcome
     if outcome.stopped:
         if outcome.exit_code == 130:

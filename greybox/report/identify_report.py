@@ -15,8 +15,8 @@ def identify_report(
     *,
     links: Mapping[str, Sequence[tuple[str, str]]],
 ) -> str:
-    """The page. `content` follows schemas/identify.json; `about` says of every stage by name what it
-    is for, and `links` which files beside the page belong to it, (text, path) each."""
+    """The page. `content` follows schemas/identify.json; `about` says of every stage by name what
+    it is for, and `links` which files beside the page belong to it, (text, path) each."""
     outcome = content["outcome"]
     report = Report("From flights to a model", content["command"])
     verdict = outcome["verdict"]
@@ -55,7 +55,8 @@ def identify_report(
 def _row(stage: Mapping[str, Any], about: str) -> tuple[Cell, ...]:
     if stage["skipped"]:
         return stage["name"], about, "skipped", None, None
-    ended: Cell = {0: "done", 1: Tag(text="the answer is no")}.get(
-        stage["exit_code"], Tag(text=f"failed ({stage['exit_code']})")
-    )
+    code = stage["exit_code"]
+    ended: Cell = "done"
+    if code != 0:
+        ended = Tag(text="the answer is no" if code == 1 else f"failed ({code})")
     return stage["name"], about, ended, float(stage["seconds"]), float(stage["cpu_seconds"])

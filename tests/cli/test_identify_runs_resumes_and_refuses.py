@@ -201,13 +201,15 @@ def test_even_so_exports_and_still_says_it(copy, flights, capsys):
     assert (copy / "8_export" / "model" / "manifest.json").exists()
 
 
-def test_python_gives_the_same_as_the_command(copy, flights):
+def test_python_gives_the_same_as_the_command_and_is_quiet(copy, flights, capsys):
     said: list[str] = []
+    shutil.rmtree(copy / "8_export")
     found = gb.identify(
         flights / "v.toml", [flights / "a.csv", flights / "b.csv"], test=[flights / "t.csv"], out=copy,
         skip=["discover", "learn"], say=said.append,
     )  # fmt: skip
-    assert sum(DONE in text for text in said) == 5
+    assert sum(DONE in text for text in said) == 4
+    assert capsys.readouterr() == ("", "")
     assert found.verdict == found.model.verdict
     assert found.model.values == found.fit.values
     assert (found.discovery, found.learned, found.folder) == (None, None, copy)

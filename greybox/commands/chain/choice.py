@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from greybox.commands.chain.request import SoFar
@@ -11,8 +11,8 @@ from greybox.files import read_json
 from greybox.model.verdict import Verdict
 
 MARGIN = 0.02
-"""Share by which the errors of a larger model must be smaller before it replaces the smaller one. Of
-ours: below it two fits of the same flights differ by the end of their iterations."""
+"""Share by which the errors of a larger model must be smaller before it replaces the smaller one.
+Of ours: below it two fits of the same flights differ by the end of their iterations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,8 @@ class Choice:
 
 
 def verdict_of(content: Mapping[str, object]) -> Verdict | None:
-    """The verdict of a result file, None where nothing was judged. Raises what `from_dict` raises."""
+    """The verdict of a result file, None where nothing was judged. Raises what `from_dict`
+    raises."""
     found = content.get("verdict")
     return Verdict.from_dict(found) if isinstance(found, Mapping) else None
 
@@ -69,7 +70,9 @@ def best_physics(so_far: SoFar) -> Choice | None:
         why = "the automatic fit: what discover names does not make it better"
         return Choice(model=first.model, verdict=first.verdict, why=why)
     return Choice(
-        model=folder / "model.json", verdict=again, why="the fit with the effects that discover names"
+        model=folder / "model.json",
+        verdict=again,
+        why="the fit with the effects that discover names",
     )
 
 
@@ -80,15 +83,14 @@ def best(so_far: SoFar) -> Choice | None:
         return physics
     folder = so_far.folders["learn"]
     content = read_json(folder / "learn.json")
-    if content.get("null") is True:
-        return Choice(model=physics.model, verdict=physics.verdict, why=f"{physics.why}; nothing was worth learning")
-    if not so_far.request.test:
-        why = f"{physics.why}; the learned part stays beside it, for want of --test flights to judge it on"
-        return Choice(model=physics.model, verdict=physics.verdict, why=why)
     learned = verdict_of(content)
-    if not better(learned, physics.verdict):
-        why = f"{physics.why}; the learned part does not make it better"
-        return Choice(model=physics.model, verdict=physics.verdict, why=why)
-    return Choice(
-        model=folder / "hybrid.json", verdict=learned, why=f"{physics.why}, with the learned part"
-    )
+    if content.get("null") is True:
+        said = "nothing was worth learning"
+    elif not so_far.request.test:
+        said = "no --test flights to judge the learned part on, which stays beside it"
+    elif not better(learned, physics.verdict):
+        said = "the learned part does not make it better"
+    else:
+        why = f"{physics.why}, with the learned part"
+        return Choice(model=folder / "hybrid.json", verdict=learned, why=why)
+    return replace(physics, why=f"{physics.why}; {said}")

@@ -19,9 +19,10 @@ from greybox.residual.files import load_model
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identified:
-    """What the chain made. `model` is the one that came out (`verdict` judges it, None: not judged) and
-    `why`; `fit` that of the automatic fit, `discovery` that of discover and `learned` the hybrid, each
-    None where that stage made none. All files are in `folder`, with report.html for a person.
+    """What the chain made. `model` is the one that came out (`verdict` judges it, None: not judged)
+    and `why`; `fit` that of the automatic fit, `discovery` that of discover and `learned` the
+    hybrid, each None where that stage made none. All files are in `folder`, with report.html for a
+    person.
     """
 
     verdict: Verdict | None
@@ -52,23 +53,36 @@ def identify(
     seed: int = 0,
     say: Callable[[str], None] = _quiet,
 ) -> Identified:
-    """From a vehicle file and logs (paths) to a judged, exported model: what `greybox identify` does.
+    """From a vehicle file and logs (paths) to a judged, exported model: what `greybox identify`
+    does.
 
-    inspect, check, fit, discover, refit, learn, validate and export one after the other, each the plain
-    command of its name with its results in a folder of `out`; what is done there already is kept. `test`
-    are flights that only judge, `skip` names of stages, `even_so` learns and exports although the model
-    is not usable. `say` gets a line per step. Without a vehicle file (None) the log is asked.
+    inspect, check, fit, discover, refit, learn, validate and export one after the other, each the
+    plain command of its name with its results in a folder of `out`; what is done there already is
+    kept. `test` are flights that only judge, `skip` names of stages, `even_so` learns and exports
+    although the model is not usable. `say` gets a line per step. Without a vehicle file (None) the
+    log is asked.
 
-    Raises `GreyboxError` for bad input, `KeyboardInterrupt` when it is stopped (call it again to go on).
+    Raises `GreyboxError` for bad input, `KeyboardInterrupt` when it is stopped (call it again to go
+    on).
     """
     folder = Path(out)
     train = tuple(os.fspath(log) for log in logs)
     held_out = tuple(os.fspath(log) for log in test)
     if not train:
         raise GreyboxError("no logs", expected="paths of flight logs")
-    path = guessed_vehicle(train, folder, go_on=False, say=say) if vehicle is None else os.fspath(vehicle)
+    path = (
+        guessed_vehicle(train, folder, go_on=False, say=say)
+        if vehicle is None
+        else os.fspath(vehicle)
+    )
     request = Request(
-        vehicle=path, train=train, test=held_out, out=folder, seed=seed, skip=frozenset(skip), even_so=even_so
+        vehicle=path,
+        train=train,
+        test=held_out,
+        out=folder,
+        seed=seed,
+        skip=frozenset(skip),
+        even_so=even_so,
     )
     words = ["greybox", "identify", path, *train, *(["--test", *held_out] if held_out else [])]
     found = run_chain(request, command=shlex.join([*words, "--out", str(folder)]), say=say)

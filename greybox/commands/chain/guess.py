@@ -1,4 +1,5 @@
-"""A vehicle file where none was given: from what a log knows, and what a person must still measure."""
+"""A vehicle file where none was given: from what a log knows, and what a person must still
+measure."""
 
 from __future__ import annotations
 
@@ -13,11 +14,13 @@ from greybox.model.vehicle_from_log import vehicle_from_log
 FILE = "vehicle.toml"
 
 
-def guessed_vehicle(logs: Sequence[str], out: Path, *, go_on: bool, say: Callable[[str], None]) -> str:
+def guessed_vehicle(
+    logs: Sequence[str], out: Path, *, go_on: bool, say: Callable[[str], None]
+) -> str:
     """Write the vehicle file of the craft that wrote the first log into `out` and return its path.
 
-    One that is there already (and perhaps was edited) stays. Raises `VehicleError` with what must be
-    measured unless `go_on`, `DataError` for a log that does not say where the motors are.
+    One that is there already (and perhaps was edited) stays. Raises `VehicleError` with what must
+    be measured unless `go_on`, `DataError` for a log that does not say where the motors are.
     """
     path = out / FILE
     found = vehicle_from_log(logs[0])
@@ -33,6 +36,8 @@ def guessed_vehicle(logs: Sequence[str], out: Path, *, go_on: bool, say: Callabl
     again = shlex.join(["greybox", "identify", str(path), *logs, "--out", str(out)])
     measure = "; ".join(found.to_measure) or "nothing more, look the file over"
     raise VehicleError(
-        "no vehicle file was given; this one holds what the log knows", where=str(path),
-        expected=f"that you measure {measure}", fix=f"edit it, then: {again} (or --guess to go on as it is)",
+        "no vehicle file was given; this one holds what the log knows",
+        where=str(path),
+        expected=f"that you measure {measure}",
+        fix=f"edit it, then: {again} (or --guess to go on as it is)",
     )

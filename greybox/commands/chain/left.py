@@ -10,7 +10,8 @@ from greybox.commands.chain.request import Stage
 from greybox.files import read_json
 
 TRUST = 20.0
-"""Seconds of work for which the typical times are believed before this machine's own count as much."""
+"""Seconds of work for which the typical times are believed before this machine's own count as
+much."""
 
 
 def flight_seconds(folder: Path, record: StageRecord | None) -> float | None:
@@ -26,7 +27,10 @@ def typical(stage: Stage, flown: float) -> float:
 
 
 def seconds_left(
-    stages: Iterable[Stage], open_stages: Iterable[str], done: Mapping[str, StageRecord], flown: float
+    stages: Iterable[Stage],
+    open_stages: Iterable[str],
+    done: Mapping[str, StageRecord],
+    flown: float,
 ) -> float:
     """Seconds that the stages of the names `open_stages` will take."""
     by_name = {s.name: s for s in stages}

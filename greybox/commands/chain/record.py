@@ -36,12 +36,18 @@ class StageRecord:
 
     @staticmethod
     def from_dict(data: Mapping[str, object]) -> StageRecord:
-        """The record of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is none."""
+        """The record of a file. Raises `KeyError`, `TypeError` or `ValueError` for one that is
+        none."""
         texts = {n: _texts(data[n]) for n in ("commands", "lines", "writes")}
         return StageRecord(
-            name=str(data["name"]), folder=str(data["folder"]), key=str(data["key"]),
-            exit_code=int(str(data["exit_code"])), seconds=float(str(data["seconds"])),
-            cpu_seconds=float(str(data["cpu_seconds"])), skipped=str(data["skipped"]), **texts,
+            name=str(data["name"]),
+            folder=str(data["folder"]),
+            key=str(data["key"]),
+            exit_code=int(str(data["exit_code"])),
+            seconds=float(str(data["seconds"])),
+            cpu_seconds=float(str(data["cpu_seconds"])),
+            skipped=str(data["skipped"]),
+            **texts,
         )
 
 
@@ -64,7 +70,9 @@ class Outcome:
     stopped: str = ""
 
 
-def write_record(out: Path, outcome: Outcome | None, stages: Mapping[str, StageRecord], command: str) -> None:
+def write_record(
+    out: Path, outcome: Outcome | None, stages: Mapping[str, StageRecord], command: str
+) -> None:
     """Write identify.json. Raises `OutputError`."""
     content = {"schema": SCHEMA, "command": command}
     state = None if outcome is None else asdict(outcome)

@@ -13,8 +13,8 @@ from greybox.commands.chain.record import StageRecord
 class Request:
     """The vehicle file, the logs, the folder of the results, and what holds for all stages.
 
-    `rate` [Hz] is left to the fit where it is None. `skip` are names of stages. `even_so`: learn and
-    export although the model was judged not usable.
+    `rate` [Hz] is left to the fit where it is None. `skip` are names of stages. `even_so`: learn
+    and export although the model was judged not usable.
     """
 
     vehicle: str
@@ -68,8 +68,8 @@ class Stage:
     """One step of the chain.
 
     `plan` makes its command lines from what is there. Its time is estimated as `start` plus `each`
-    times the seconds of all flights [s of CPU]. A stage that is not `needed` may fail without ending
-    the chain.
+    times the seconds of all flights [s of CPU]. A stage that is not `needed` may fail without
+    ending the chain.
     """
 
     name: str

@@ -1,8 +1,8 @@
 """Run the chain: what is done already is kept, what was stopped half way is done again.
 
-A stage runs in this process, so that killing it leaves nobody behind who goes on writing. It counts as
-done when identify.json says so, with a checksum of all that it was given: command line, vehicle file,
-logs, files of earlier stages, version of greybox.
+A stage runs in this process, so that killing it leaves nobody behind who goes on writing. It counts
+as done when identify.json says so, with a checksum of all that it was given: command line, vehicle
+file, logs, files of earlier stages, version of greybox.
 """
 
 from __future__ import annotations
@@ -46,14 +46,22 @@ class Result:
 
 
 def run_chain(
-    request: Request, *, command: str, say: Say, stages: Sequence[Stage] = STAGES
+    request: Request,
+    *,
+    command: str,
+    say: Say,
+    progress: TextIO | None = None,
+    stages: Sequence[Stage] = STAGES,
 ) -> Result:
     """Run all stages that are not done. Ctrl-C is an `Outcome` with the stage in `stopped`, too.
 
-    Raises `GreyboxError` for input that no stage could read, and for a folder of somebody else.
+    What the commands say of their progress goes to `progress` (None: nowhere). Raises
+    `GreyboxError` for input that no stage could read, and for a folder of somebody else.
     """
     _look_over(request)
-    chain = _Chain(request=request, command=command, say=say, stages=tuple(stages))
+    chain = _Chain(
+        request=request, command=command, say=say, progress=progress, stages=tuple(stages)
+    )
     return chain.run()
 
 
@@ -72,7 +80,9 @@ def _look_over(request: Request) -> None:
             raise GreyboxError("no such file", where=log, fix="check the path")
     given = [str(Path(p).resolve()) for p in (*request.train, *request.test)]
     if double := sorted({p for p in given if given.count(p) > 1}):
-        raise GreyboxError("given twice", where=double[0], fix="give every log once, to train or --test")
+        raise GreyboxError(
+            "given twice", where=double[0], fix="give every log once, to train or --test"
+        )
     read_vehicle(request.vehicle)
 
 
@@ -81,6 +91,7 @@ class _Chain:
     request: Request
     command: str
     say: Say
+    progress: TextIO | None
     stages: tuple[Stage, ...]
 
     def run(self) -> Result:
@@ -93,14 +104,20 @@ class _Chain:
             try:
                 record = self._stage(number, stage)
             except KeyboardInterrupt:
-                return self._end(Outcome(line=self._stopped(stage), exit_code=130, stopped=stage.name))
+                return self._end(
+                    Outcome(line=self._stopped(stage), exit_code=130, stopped=stage.name)
+                )
             if record.exit_code == 130:
-                return self._end(Outcome(line=self._stopped(stage), exit_code=130, stopped=stage.name))
+                return self._end(
+                    Outcome(line=self._stopped(stage), exit_code=130, stopped=stage.name)
+                )
             self.done[stage.name] = record
             write_record(out, None, self._records(), self.command)
             if not record.finished and stage.needed:
                 last = record.lines[-1] if record.lines else f"exit code {record.exit_code}"
-                return self._end(Outcome(line=f"stage {stage.name}: {last}", exit_code=2, stopped=stage.name))
+                return self._end(
+                    Outcome(line=f"stage {stage.name}: {last}", exit_code=2, stopped=stage.name)
+                )
         return self._end(self._outcome())
 
     @property
@@ -109,7 +126,9 @@ class _Chain:
 
     def _records(self) -> dict[str, StageRecord]:
         """Those of this run, and of stages that it has not come to: they may still be good."""
-        return {s.name: r for s in self.stages if (r := self.done.get(s.name, self.kept.get(s.name)))}
+        return {
+            s.name: r for s in self.stages if (r := self.done.get(s.name, self.kept.get(s.name)))
+        }
 
     def _stopped(self, stage: Stage) -> str:
         return f"stopped in stage {stage.name}: run the same command again to go on"
@@ -162,11 +181,13 @@ class _Chain:
     def _work(self, stage: Stage, work: Work, key: str) -> StageRecord:
         folder = self.folders[stage.name]
         began, used = time.perf_counter(), _cpu()
-        said, lines, code = [], [], 0
+        said: list[str] = []
+        lines: list[str] = []
+        code = 0
         for words in work.commands:
             typed = "greybox " + shlex.join(words)
             self.say(f"  $ {typed}")
-            ran = run_command(words)
+            ran = run_command(words, self.progress)
             code = max(code, ran.exit_code)
             said.append(f"$ {typed}\n{ran.output}")
             first = [line for line in ran.output.splitlines() if line.strip()][:FIRST_LINES]
@@ -175,9 +196,14 @@ class _Chain:
                 break
         write_atomic(folder / OUTPUT, "\n".join(said))
         return StageRecord(
-            name=stage.name, folder=folder.name, key=key, exit_code=code, lines=tuple(lines),
+            name=stage.name,
+            folder=folder.name,
+            key=key,
+            exit_code=code,
+            lines=tuple(lines),
             commands=tuple("greybox " + shlex.join(w) for w in work.commands),
-            seconds=round(time.perf_counter() - began, 2), cpu_seconds=round(_cpu() - used, 2),
+            seconds=round(time.perf_counter() - began, 2),
+            cpu_seconds=round(_cpu() - used, 2),
             writes=tuple(str(p.relative_to(folder)) for p in work.writes),
         )
 
@@ -198,7 +224,10 @@ class _Chain:
         else:
             code, line = verdict.exit_code, verdict.line
         return Outcome(
-            line=line, exit_code=code, model=str(choice.model), why=choice.why,
+            line=line,
+            exit_code=code,
+            model=str(choice.model),
+            why=choice.why,
             verdict=None if verdict is None else verdict.to_dict(),
         )
 
@@ -207,12 +236,15 @@ class _Chain:
         records = self._records() if outcome.stopped else self.done
         write_record(self.request.out, outcome, records, self.command)
         page = identify_report(
-            read_json(self.request.out / "identify.json"), {s.name: s.about for s in self.stages},
+            read_json(self.request.out / "identify.json"),
+            {s.name: s.about for s in self.stages},
             links={r.name: _links(self.folders[r.name]) for r in records.values()},
         )
         write_atomic(self.request.out / "report.html", page)
         return Result(
-            outcome=outcome, choice=None if outcome.stopped else best(self.so_far), so_far=self.so_far
+            outcome=outcome,
+            choice=None if outcome.stopped else best(self.so_far),
+            so_far=self.so_far,
         )
 
 
@@ -250,21 +282,23 @@ class Ran:
 
 
 class _Echo(io.StringIO):
-    """Keeps what is written and passes it on."""
+    """Keeps what is written and passes it on where somebody listens."""
 
-    def __init__(self, to: TextIO) -> None:
+    def __init__(self, to: TextIO | None) -> None:
         super().__init__()
         self.to = to
 
     def write(self, text: str) -> int:
-        self.to.write(text)
+        if self.to is not None:
+            self.to.write(text)
         return super().write(text)
 
     def flush(self) -> None:
-        self.to.flush()
+        if self.to is not None:
+            self.to.flush()
 
     def isatty(self) -> bool:
-        return self.to.isatty()
+        return self.to is not None and self.to.isatty()
 
 
 @contextlib.contextmanager
@@ -278,11 +312,11 @@ def _typed(words: Sequence[str]) -> Iterator[None]:
         sys.argv = before
 
 
-def run_command(words: Sequence[str]) -> Ran:
-    """Run a plain command in this process; progress goes on to standard error."""
+def run_command(words: Sequence[str], progress: TextIO | None) -> Ran:
+    """Run a plain command in this process; its standard error is passed on to `progress`."""
     from greybox.cli import main
 
-    output, errors = io.StringIO(), _Echo(sys.stderr)
+    output, errors = io.StringIO(), _Echo(progress)
     with _typed(words), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
         try:
             code = main(list(words))

@@ -127,10 +127,10 @@ def _export(so_far: SoFar) -> Work | Skip:
     chosen = best(so_far)
     assert chosen is not None
     folder = so_far.folders["export"]
-    words = ("export", str(chosen.model), "--name", "model", "--out", str(folder / "model"))
-    words += ("--even-so",) if so_far.request.even_so else ()
+    words = ["export", str(chosen.model), "--name", "model", "--out", str(folder / "model")]
+    words += ["--even-so"] if so_far.request.even_so else []
     writes = (folder / "model" / "manifest.json",)
-    return Work(commands=(words,), writes=writes, reads=(chosen.model,))
+    return Work(commands=(tuple(words),), writes=writes, reads=(chosen.model,))
 
 
 def _closed(so_far: SoFar) -> Skip | None:
@@ -186,15 +186,19 @@ def _in_catalogue(name: str) -> bool:
 
 
 STAGES = (
-    Stage(name="inspect", about="what the logs hold", plan=_inspect, start=0.5, each=0.01, needed=True),
+    Stage(
+        name="inspect", about="what the logs hold", plan=_inspect, start=0.5, each=0.01, needed=True
+    ),
     Stage(name="check", about="faults of the data", plan=_check, start=0.5, each=0.01, needed=True),
     Stage(name="fit", about="automatic fit", plan=_fit, start=10.0, each=0.5, needed=True),
-    Stage(name="discover", about="which effects are missing", plan=_discover, start=12.0, each=0.75),
+    Stage(
+        name="discover", about="which effects are missing", plan=_discover, start=12.0, each=0.75
+    ),
     Stage(name="refit", about="fit with what was found", plan=_refit, start=5.0, each=0.3),
     Stage(name="learn", about="what no effect explains", plan=_learn, start=25.0, each=1.5),
     Stage(name="validate", about="on the test flights", plan=_validate, start=1.0, each=0.03),
     Stage(name="export", about="C and CasADi for a controller", plan=_export, start=2.0, each=0.0),
 )
-"""The whole chain. Times [s of CPU]: three simulated flights of 20 s and one of test at 100 Hz, cold
-cache (`greybox identify` writes those of its own run into identify.json)."""
+"""The whole chain. Times [s of CPU]: three simulated flights of 20 s and one of test at 100 Hz,
+cold cache (`greybox identify` writes those of its own run into identify.json)."""
 NAMES = tuple(s.name for s in STAGES)
