@@ -40,6 +40,7 @@ _PUBLIC = {
     "validate": "greybox.validation.validate",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
+    "twin": "greybox.twin.make",
     "GreyboxError": "greybox.errors",
 }
 
@@ -74,6 +75,7 @@ __all__ = [
     "read_logs",
     "read_vehicle",
     "save_model",
+    "twin",
     "validate",
     "vehicle_findings",
 ]
@@ -100,6 +102,7 @@ if TYPE_CHECKING:
     from greybox.residual.files import load_model, save_model
     from greybox.residual.learn import learn
     from greybox.symbolic import Layout, Signal
+    from greybox.twin.make import twin
     from greybox.validation.validate import validate
 
 
