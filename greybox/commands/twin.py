@@ -7,7 +7,7 @@ import argparse
 import sys
 from typing import Any
 
-NAMES = ("rotorpy",)
+NAMES = ("numpy", "jax", "rotorpy", "mujoco", "crazyflow", "drone-models")
 
 
 def add(commands: Any) -> None:

@@ -28,6 +28,7 @@ CURVE = {curve!r}                # f of (1 - f) u + f u^2
 VOLTAGE_GAIN = {gain!r}          # c_V of 1 + c_V (V - V0) / V0
 NOMINAL_VOLTAGE = {nominal!r}    # V0 [V]
 SPEED_MAX = {speed!r}            # rad/s at nu = 1{unknown}
+RPM_MAX = SPEED_MAX * 60.0 / (2.0 * np.pi)
 HOVER = {hover!r}                # nu that carries the weight
 
 

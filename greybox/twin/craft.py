@@ -33,7 +33,8 @@ class Craft:
 
     `physics` has every state (position, velocity, attitude, rate), whatever the log measured.
     `values` has each of its parameters by name, SI units. `pushes` says in words what the model has
-    beside the physics: unexplained pushes with their size, a learned part.
+    beside the physics: unexplained pushes with their size, a learned part. `source` is the model
+    that the craft was taken from, with these.
     """
 
     physics: PhysicsModel
@@ -41,6 +42,7 @@ class Craft:
     domain: Mapping[str, tuple[float, float]]
     sensor_noise: Mapping[str, float]
     sample_time: float
+    source: IdentifiedModel
     pushes: str = ""
 
     @staticmethod
@@ -67,6 +69,7 @@ class Craft:
             domain=model.domain,
             sensor_noise=noise,
             sample_time=model.sample_time,
+            source=model,
             pushes=_pushes(model),
         )
         craft.check()

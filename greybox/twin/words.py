@@ -55,6 +55,13 @@ class Wording:
         """The simulator has nothing for it."""
         return self._row(effect, Status.LOST, why, Change(without=(effect,)))
 
+    def folded_lag_mean(self) -> Self:
+        """The row of rotors that rise and fall at different rates, in a simulator with one lag."""
+        mean = 1e3 * self.craft.get("motor_lag.tau")
+        how = f"one lag of {mean:.3g} ms, the mean of both"
+        change = Change(without=("motor_lag_asymmetry",))
+        return self.folded("motor_lag_asymmetry", how, change)
+
     def _row(self, effect: str, status: Status, how: str, change: Change) -> Self:
         if effect in self.craft.effects:
             self.rows.append(Word(effect=effect, status=status, how=how, change=change))
@@ -89,7 +96,7 @@ def _no_term(effect: Effect, simulator: str) -> str:
     return f"{simulator} has no such term"
 
 
-def quadratic_maps(wording: Wording, *, thrust: str, torque: str, low: float = 0.1) -> None:
+def quadratic_maps(wording: Wording, *, thrust: str, torque: str) -> None:
     """Rows of the thrust and torque maps for a simulator that knows c2 Omega^2 only.
 
     Maps with other powers become the c2 that agrees at hover (thrust), and the ratio that torque

@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from greybox.errors import UnknownNameError
 from greybox.twin.target import Target
+from greybox.twin.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
+from greybox.twin.targets.jax_module import JaxModule
+from greybox.twin.targets.mujoco import MuJoCo
+from greybox.twin.targets.numpy_module import NumPyModule
 from greybox.twin.targets.rotorpy import RotorPy
 
-TARGETS: tuple[Target, ...] = (RotorPy(),)
+TARGETS: tuple[Target, ...] = (
+    NumPyModule(),
+    JaxModule(),
+    RotorPy(),
+    MuJoCo(),
+    CRAZYFLOW,
+    DRONE_MODELS,
+)
 
 
 def target_by_name(name: str) -> Target:

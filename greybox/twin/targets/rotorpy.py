@@ -76,14 +76,8 @@ class RotorPy:
         quadratic_maps(w, thrust="k_eta", torque="k_m")
         fixed_gravity(w, GRAVITY)
         say_commands(w)
-        if craft.lags[0] > 0:
-            w.said("motor_lag", "tau_m")
-        mean = craft.get("motor_lag.tau")
-        w.folded(
-            "motor_lag_asymmetry",
-            f"one tau_m of {1e3 * mean:.3g} ms, the mean of both",
-            Change(without=("motor_lag_asymmetry",)),
-        )
+        w.said("motor_lag", "tau_m")
+        w.folded_lag_mean()
         w.said("rotor_asymmetry", "motor_speeds() scales each rotor's speed")
         w.said("axial_inflow", "k_z").said("translational_lift", "k_h")
         w.said("parasitic_drag", "c_Dx, c_Dy, c_Dz").said("steady_wind", "WIND")
