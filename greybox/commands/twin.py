@@ -7,7 +7,18 @@ import argparse
 import sys
 from typing import Any
 
-NAMES = ("numpy", "jax", "rotorpy", "mujoco", "crazyflow", "drone-models")
+NAMES = (
+    "numpy",
+    "jax",
+    "rotorpy",
+    "mujoco",
+    "crazyflow",
+    "drone-models",
+    "pybullet",
+    "gazebo",
+    "px4",
+    "isaac",
+)
 
 
 def add(commands: Any) -> None:

@@ -29,6 +29,8 @@ VOLTAGE_GAIN = {gain!r}          # c_V of 1 + c_V (V - V0) / V0
 NOMINAL_VOLTAGE = {nominal!r}    # V0 [V]
 SPEED_MAX = {speed!r}            # rad/s at nu = 1{unknown}
 RPM_MAX = SPEED_MAX * 60.0 / (2.0 * np.pi)
+STRENGTH = np.array({strength})  # thrust and torque of each rotor against their mean
+LAGS = {up!r}, {down!r}          # s, of rotors that speed up and slow down
 HOVER = {hover!r}                # nu that carries the weight
 
 
@@ -67,6 +69,27 @@ class DelayLine:
         while len(self._sent) > 1 and self._sent[1][0] + DELAY <= end + 1e-9:
             del self._sent[0]
         return pieces
+
+
+class Rotors:
+    """Delay, lag and strength of the rotors, for simulators whose rotors follow at once."""
+
+    def __init__(self, nu=HOVER):
+        self.nu = np.full(len(STRENGTH), nu)
+        self._line = DelayLine(np.full(len(STRENGTH), nu))
+
+    def speeds(self, u, dt, voltage=None):
+        """Mean speeds nu (n,) over the next `dt` [s] if u (n,) is sent now, scaled so that equal
+        thrust maps give the thrust of uneven rotors. Call it once per simulator step."""
+        mean = np.zeros_like(self.nu)
+        for seconds, held in self._line.pieces(u, dt):
+            gap = self.nu - normalised_speed(held, voltage)
+            lag = np.maximum(np.where(gap > 0, LAGS[1], LAGS[0]), 1e-9)
+            left = np.exp(-seconds / lag)
+            goal = self.nu - gap
+            mean += seconds / dt * goal + gap * lag / dt * (1.0 - left)
+            self.nu = goal + gap * left
+        return mean * np.sqrt(STRENGTH)
 '''
 
 
@@ -87,6 +110,9 @@ def command_text(craft: Craft) -> str:
         speed=craft.speed_max,
         unknown="" if craft.speed_known else ", counted so: the vehicle file has no speed_max",
         hover=craft.hover_nu,
+        strength=craft.strength.tolist(),
+        up=craft.lags[0],
+        down=craft.lags[1],
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from greybox.errors import UnknownNameError
+from greybox.errors import ModelError, UnknownNameError
 from greybox.files import OutputError, dump_json, write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.twin.craft import Craft
@@ -84,19 +84,25 @@ def twin(
     sensors = sensor_text(craft, model.flight_spread)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
+    notes = [] if craft.speed_known else [_counted(craft)]
     for target in [target_by_name(n) for n in names]:
-        said = state(target, craft)
+        try:
+            said = state(target, craft)
+        except ModelError as error:
+            if targets:
+                raise
+            notes.append(f"no files for {target.name}: {error.line}")
+            continue
         statements.append(said)
         texts = target.files(said.spoken)
         for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": said.text + "\n"}.items():
             files[f"{target.name}/{name}"] = text
-    notes = () if craft.speed_known else (_counted(craft),)
     made = Twin(
         model=craft.title,
         data_hash=model.data_hash,
         statements=tuple(statements),
         files=files,
-        notes=notes,
+        notes=tuple(notes),
     )
     if out is not None:
         made.save(out, force=force)

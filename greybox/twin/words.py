@@ -11,6 +11,7 @@ from greybox.twin.change import Change
 from greybox.twin.craft import Craft
 
 THRUST_MAP, TORQUE_MAP, GRAVITY = "thrust map", "torque map", "gravity"
+CENTRE = "centre of mass"
 LEARNED = "learned and unexplained pushes"
 """What stands in the table beside the effects."""
 
@@ -78,7 +79,7 @@ class Wording:
         for name, effect in self.craft.effects.items():
             if name not in have:
                 self.lost(name, _no_term(effect, self.simulator))
-        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, *self.craft.effects, LEARNED]
+        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, *self.craft.effects, LEARNED]
         if self.craft.pushes and LEARNED not in {w.effect for w in self.rows}:
             self.add(
                 Word(
@@ -127,3 +128,21 @@ def fixed_gravity(wording: Wording, gravity: float) -> None:
             effect=GRAVITY, status=Status.FOLDED, how=how, change=Change(gravity=gravity)
         )
         wording.add(row)
+
+
+def symmetric_arms(wording: Wording, key: str) -> None:
+    """A row for a simulator whose arms are symmetric about the centre of mass, where they are not."""
+    craft = wording.craft
+    aside = craft.arms.mean(axis=0)[:2]
+    if "center_of_mass_offset" in craft.effects:
+        wording.folded("center_of_mass_offset", f"{key}: see {CENTRE}", Change())
+    if not aside.any():
+        return
+    values = {
+        f"center_of_mass.{a}": craft.get(f"center_of_mass.{a}") + float(v)
+        for a, v in zip("xy", aside, strict=True)
+    }
+    how = f"{key} are symmetric; it lies {1e3 * aside[0]:.2g}, {1e3 * aside[1]:.2g} mm aside"
+    wording.add(
+        Word(effect=CENTRE, status=Status.LOST, how=how, change=Change(values=values))
+    )

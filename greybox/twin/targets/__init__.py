@@ -5,9 +5,13 @@ from __future__ import annotations
 from greybox.errors import UnknownNameError
 from greybox.twin.target import Target
 from greybox.twin.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
+from greybox.twin.targets.gazebo import Gazebo
+from greybox.twin.targets.isaac import Isaac
 from greybox.twin.targets.jax_module import JaxModule
 from greybox.twin.targets.mujoco import MuJoCo
 from greybox.twin.targets.numpy_module import NumPyModule
+from greybox.twin.targets.px4 import PX4
+from greybox.twin.targets.pybullet import PyBullet
 from greybox.twin.targets.rotorpy import RotorPy
 
 TARGETS: tuple[Target, ...] = (
@@ -17,6 +21,10 @@ TARGETS: tuple[Target, ...] = (
     MuJoCo(),
     CRAZYFLOW,
     DRONE_MODELS,
+    PyBullet(),
+    Gazebo(),
+    PX4(),
+    Isaac(),
 )
 
 
