@@ -40,7 +40,7 @@ _PUBLIC = {
     "validate": "greybox.validation.validate",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
-    "twin": "greybox.twin.make",
+    "twin": "greybox.simulators.make",
     "GreyboxError": "greybox.errors",
 }
 
@@ -101,8 +101,8 @@ if TYPE_CHECKING:
     from greybox.report.fit_report import fit_report
     from greybox.residual.files import load_model, save_model
     from greybox.residual.learn import learn
+    from greybox.simulators.make import twin
     from greybox.symbolic import Layout, Signal
-    from greybox.twin.make import twin
     from greybox.validation.validate import validate
 
 
