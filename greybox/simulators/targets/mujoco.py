@@ -2,8 +2,8 @@
 
 In model.xml a control is the speed nu that a rotor shall reach, its activation the speed that it
 has (`dyntype="filter"`, the lag), its force the tangent of the thrust map at hover. callback.py
-adds the rest of the force and moment of our model, generated from its own expressions. Without it (MJX, the
-viewer) the craft flies near hover and feels no air.
+adds the rest of the force and moment of our model, generated from its own expressions. Without it
+(MJX, the viewer) the craft flies near hover and feels no air.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 SIH's quadrotor has thrust SIH_T_MAX times a command that follows with SIH_T_TAU, arms SIH_L_ROLL
 and SIH_L_PITCH, yaw torque SIH_Q_MAX times the command, one linear drag SIH_KDV against the
-airspeed and one damping SIH_KDW (PX4, src/modules/simulation/simulator_sih/sih.cpp). Axes are FRD there.
+airspeed and one damping SIH_KDW (PX4, src/modules/simulation/simulator_sih/sih.cpp). Axes are FRD
+there.
 """
 
 from __future__ import annotations
