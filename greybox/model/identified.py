@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics
@@ -42,8 +43,8 @@ longest delay."""
 
 def library_versions() -> dict[str, str]:
     """Versions of greybox and of the libraries that shape a result."""
-    out = {}
-    for name in ("greybox", "casadi", "numpy", "scipy"):
+    out = {"greybox": VERSION}
+    for name in ("casadi", "numpy", "scipy"):
         try:
             out[name] = version(name)
         except PackageNotFoundError:
