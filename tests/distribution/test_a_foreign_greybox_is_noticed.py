@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 import tomllib
@@ -64,3 +65,16 @@ def test_every_extra_that_a_hint_names_is_declared() -> None:
 def test_pytorch_comes_from_its_index_of_cpu_builds() -> None:
     assert install_line("gp").startswith(f"pip install torch --index-url {TORCH_CPU} && ")
     assert install_line("logs") == f'pip install "{NAME}[logs]"'
+
+
+def test_every_file_that_states_a_version_states_this_one() -> None:
+    assert f"version: {VERSION}" in (ROOT / "CITATION.cff").read_text()
+    assert json.loads((ROOT / "codemeta.json").read_text())["version"] == VERSION
+    assert f'set version = "{VERSION}"' in (ROOT / "recipe" / "meta.yaml").read_text()
+    assert f"## {VERSION}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_every_work_that_the_paper_cites_is_in_its_bibliography() -> None:
+    cited = set(re.findall(r"@(\w+)", (ROOT / "paper" / "paper.md").read_text()))
+    listed = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.M))
+    assert cited == listed
