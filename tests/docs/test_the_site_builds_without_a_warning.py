@@ -1,4 +1,4 @@
-"""The documentation becomes a site with search that opens from a folder: no warning, no dead link, no page left out, nothing from a network."""
+"""The documentation becomes a site with search that opens from a folder: no dead link, no page left out, no network."""
 
 from __future__ import annotations
 
