@@ -14,12 +14,12 @@ import numpy as np
 
 from greybox.automatic.decide import QUICK, Decided, Given, Say
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
-from greybox.automatic.samples import Removed, without_impossible
 from greybox.automatic.sets import BASE
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.conditioning import condition
-from greybox.data.raw import RawLog
+from greybox.data.impossible import without_impossible
+from greybox.data.raw import RawLog, Removed
 from greybox.errors import FitError
 from greybox.estimation.fit import Progress, fit
 from greybox.estimation.recipe import Decision, Recipe
@@ -106,11 +106,10 @@ def prepare(
     """
     trim = not isinstance(logs, Dataset)
     raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
-    removed: tuple[Removed, ...] = ()
-    if not keep_impossible:
-        cleaned = [without_impossible(r, vehicle) for r in raws]
-        raws, removed = [c[0] for c in cleaned], tuple(x for c in cleaned for x in c[1])
-    if isinstance(logs, Dataset) and not removed:
+    if not keep_impossible:  # a log that was read with this vehicle has nothing left to remove
+        raws = [r if r.removed else without_impossible(r, vehicle) for r in raws]
+    removed = tuple(x for r in raws for x in r.removed)
+    if isinstance(logs, Dataset) and removed == logs.removed:
         data = logs
     else:
         own_rate = rate if not decide_rate else None

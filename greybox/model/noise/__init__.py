@@ -14,7 +14,7 @@ from greybox.model.noise.coloured import Coloured
 from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
-from greybox.model.noise.kinds import KINDS, noise_part
+from greybox.model.noise.kinds import KINDS, noise_part, part_named
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
 from greybox.model.noise.part import NoisePart, SensorPart
@@ -32,6 +32,7 @@ __all__ = [
     "SensorPart",
     "disturbances",
     "noise_part",
+    "part_named",
     "sensor_parts",
     "with_disturbance",
     "with_parts",

@@ -32,7 +32,7 @@ class LowPass(SensorPart):
     kind = "low_pass"
     quantities = ("T",)
     filters = True
-    time: float = 0.1
+    time: float = 0.005
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:
         """T [s], one for all components."""
