@@ -55,6 +55,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
@@ -131,9 +132,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
-    page = fit_report(
-        content, series(result.model, prepared.data, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"
-    )
+    # The flight that judges is drawn; a fitted one where there is none.
+    drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
+    lines = series(result.model, *drawn, adapted=adapted)
+    page = fit_report(content, lines, checked, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))

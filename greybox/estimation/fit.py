@@ -52,16 +52,17 @@ def fit(
 
     The choices are keywords, fields of `FitOptions` with its defaults, or `options` as a whole;
     keywords go before it: predictor, criterion, solver, initialisation, disturbance, noise_parts,
-    free, fixed, per_flight, shared, values, priors, flight_priors, noise, estimate_noise, estimate_initial,
-    seed, starts, build, use_compiler.
+    free, fixed, per_flight, shared, values, priors, flight_priors, noise, estimate_noise,
+    estimate_initial, seed, starts, build, use_compiler.
 
     predictor x criterion x solver x initialisation are names or objects (see greybox.estimation).
     `disturbance` names the process-noise groups ("force", "torque") that also get a slowly varying
-    disturbance state, `noise_parts` what else of the noise is correlated in time. Which parameters are free, fixed, per flight or shared, start values, priors
-    and noise levels: see `greybox.estimation.problem.make_problem`. `initialisation`: "nominal",
-    "noise" (start noise levels from the data), "equation-error", "multistart" (`starts` random
-    starts with `seed`) or "innovation" (a maximum likelihood fit in innovation form first, whose
-    estimates and noise levels the predictor proper starts from: what a predictor without noise
+    disturbance state, `noise_parts` what else of the noise is correlated in time. Which parameters
+    are free, fixed, per flight or shared, start values, priors and noise levels: see
+    `greybox.estimation.problem.make_problem`. `initialisation`: "nominal", "noise" (start noise
+    levels from the data), "equation-error", "multistart" (`starts` random starts with `seed`) or
+    "innovation" (a maximum likelihood fit in innovation form first, whose estimates and noise
+    levels the predictor proper starts from: what a predictor without noise
     levels of its own wants). `progress(iteration, cost, decrement)` is called every iteration. The
     result says whether the fit converged; a fit that did not never looks like one that did. Raises
     `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a

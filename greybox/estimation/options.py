@@ -129,8 +129,8 @@ class FitOptions:
     starts: int = 8
     """Random starts of "multistart"."""
     build: tuple[str, ...] | None = None
-    """Parameters that sensitivities are built for, at least the free ones; None: these. Fits of
-    many subsets share one build."""
+    """Parameters that sensitivities are built for besides the free ones. Fits of many subsets share
+    one build."""
     use_compiler: bool = True
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
