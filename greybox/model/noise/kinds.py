@@ -14,10 +14,12 @@ from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
-from greybox.model.noise.part import NoisePart
+from greybox.model.noise.part import NoisePart, SensorPart
 
 KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass, Delay)
 """All kinds of noise part."""
+UNMOVED = tuple(k.kind for k in KINDS if not (issubclass(k, SensorPart) and k.filters))
+"""Kinds whose states no motion of the model reaches: all but filters of a reading."""
 _PLACE = {k.kind: next(f.name for f in fields(k) if f.default is MISSING) for k in KINDS}  # type: ignore[arg-type]
 _START = {
     k.kind: {f.name: f.default for f in fields(k) if f.default is not MISSING}  # type: ignore[arg-type]
