@@ -44,6 +44,7 @@ from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
+from greybox.shown import Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import gp_kernels
 from mpc_export.c_model import CModel, check_name
@@ -63,8 +64,8 @@ KEPT = 16
 """Bundles that the cache keeps."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExportBundle:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ExportBundle(Shown):
     """A bundle on disk; `source` builds the functions of the model that it was written from."""
 
     folder: Path
@@ -78,6 +79,12 @@ class ExportBundle:
         if self.source is None:
             raise ModelError(f"{self.folder} was loaded, its model is not at hand", fix="use rebuild() and manifest")
         return self.source()
+
+    def _shown_text(self) -> str:
+        """Name and folder, then its functions."""
+        functions = [str(f["name"]) for f in self.manifest["functions"]]
+        first = f"{self.name}: bundle of {len(functions)} functions in {self.folder}"
+        return "\n".join([first, f"  {', '.join(functions)}", f"  {len(self.manifest['files'])} files"])
 
     @property
     def name(self) -> str:
