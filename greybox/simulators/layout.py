@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.simulators.craft import Craft
+from greybox.symbolic import FloatArray
 
 SYMMETRY = 0.02
 """Largest difference of arms, as a share of the longest one, that still counts as symmetric."""
@@ -45,7 +46,7 @@ def order_in(craft: Craft, places: Sequence[Place], simulator: str) -> tuple[int
     )
 
 
-def _check_arms(hubs: np.typing.NDArray[np.float64], tolerance: float, simulator: str) -> None:
+def _check_arms(hubs: FloatArray, tolerance: float, simulator: str) -> None:
     for axis, name in enumerate("xy"):
         arms = np.abs(hubs[:, axis])
         arms = arms[arms > tolerance]

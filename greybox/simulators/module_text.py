@@ -41,7 +41,7 @@ HOVER = np.array({hover})  # command that holds it there
 '''
 
 
-def pieces(craft: Craft) -> dict[str, str]:
+def pieces(craft: Craft) -> dict[str, object]:
     """The parts of the text that NumPy and JAX share: values of `HEAD`, and `functions`."""
     dynamics = _whole(craft)
     past, future = dynamics.window
@@ -60,14 +60,14 @@ def pieces(craft: Craft) -> dict[str, str]:
     level = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
     return {
         "title": craft.name,
-        "dt": craft.sample_time,  # type: ignore[dict-item]
-        "past": past,  # type: ignore[dict-item]
-        "future": future,  # type: ignore[dict-item]
+        "dt": craft.sample_time,
+        "past": past,
+        "future": future,
         "later": " and the one after it" if future else "",
-        "n_x": len(dynamics.states),  # type: ignore[dict-item]
-        "n_u": len(dynamics.inputs),  # type: ignore[dict-item]
-        "n_p": len(dynamics.parameters),  # type: ignore[dict-item]
-        "n_w": len(dynamics.noises),  # type: ignore[dict-item]
+        "n_x": len(dynamics.states),
+        "n_u": len(dynamics.inputs),
+        "n_p": len(dynamics.parameters),
+        "n_w": len(dynamics.noises),
         "states": repr(dynamics.states.names),
         "inputs": repr(dynamics.inputs.names),
         "outputs": repr(dynamics.outputs.names),

@@ -13,12 +13,19 @@ from greybox.simulators.words import Word
 
 
 class Target(Protocol):
-    """`name` is what `--target` takes, `simulator` what people call it, `source` where its formulas
-    are published."""
+    """A simulator that a craft can be written for."""
 
-    name: str
-    simulator: str
-    source: str
+    @property
+    def name(self) -> str:
+        """What `--target` takes, and the folder."""
+
+    @property
+    def simulator(self) -> str:
+        """What people call it."""
+
+    @property
+    def source(self) -> str:
+        """Where its formulas are published."""
 
     def words(self, craft: Craft) -> tuple[Word, ...]:
         """What becomes of every effect. Raises `ModelError` for a rotor layout that the simulator

@@ -50,7 +50,8 @@ def test_there_and_back(target: str, tmp_path: Path) -> None:
     first = written(target, craft)[name]
     (tmp_path / name).write_text(first)
     vehicle = tmp_path / "v.toml"
-    assert main(["vehicle", "new", "--from", str(tmp_path / name), "--out", str(vehicle)]) == 0
+    source = ["--from", str(tmp_path / name), "--set", "name=example"]
+    assert main(["vehicle", "new", *source, "--out", str(vehicle)]) == 0
     again = written(target, Craft.of(model_of(read_vehicle(vehicle))))
     second = next(t for n, t in again.items() if Path(n).suffix == Path(name).suffix)
     # noise and the size of the domain are not in these files

@@ -12,6 +12,7 @@ import numpy as np
 from greybox.errors import VehicleError
 from greybox.files import read_limited
 from greybox.simulators.sources.found import Found, used
+from greybox.symbolic import FloatArray
 
 LARGEST = 2**20
 PER_MINUTE = 60.0 / (2.0 * math.pi)
@@ -84,9 +85,7 @@ def _craft(name: str, p: dict[str, Any]) -> Found:
     )
 
 
-def _curve(
-    value: Any, count: int
-) -> tuple[np.typing.NDArray[np.float64], np.typing.NDArray[np.float64]]:
+def _curve(value: Any, count: int) -> tuple[FloatArray, FloatArray]:
     """(powers of rpm (3,), strength of each rotor (count,)) of a curve or one per motor."""
     c = np.array(value, dtype=float)
     if c.ndim == 1:
@@ -96,7 +95,7 @@ def _curve(
     return mean, c[:, 2] / mean[2]
 
 
-def _full_speed(thrust: np.typing.NDArray[np.float64], largest: float) -> float:
+def _full_speed(thrust: FloatArray, largest: float) -> float:
     """Rotor speed [rad/s] at the largest thrust of one rotor [N]: nu = 1."""
     c0, c1, c2 = (float(v) for v in thrust)
     need = largest - c0

@@ -45,6 +45,7 @@ def read(path: Path) -> Found:
     up = number(plugins[0], "timeConstantUp", where, 0.0)
     down = number(plugins[0], "timeConstantDown", where, up)
     drag = number(plugins[0], "rotorDragCoefficient", where, 0.0)
+    radius = links[str(plugins[0].findtext("linkName"))].find("visual/geometry/cylinder")
     effects = {
         "motor_lag.tau": 0.5 * (up + down),
         "motor_lag_asymmetry.a": (down - up) / (down + up) if up + down else 0.0,
@@ -61,6 +62,7 @@ def read(path: Path) -> Found:
         thrust=(0.0, 0.0, mean * speed**2),
         torque=(0.0, 0.0, mean * moment * speed**2),
         speed_max=speed,
+        rotor_radius=None if radius is None else number(radius, "radius", where),
         effects=used(effects | _uneven(motors / mean)),
         to_measure=("mass: weigh it ready to fly",),
     )

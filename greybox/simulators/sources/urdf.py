@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from greybox.errors import VehicleError
 from greybox.simulators.sources.found import Found, used
 from greybox.simulators.sources.xml_file import attribute, numbers, root_of
+from greybox.symbolic import FloatArray
 
 PER_MINUTE = 60.0 / (2.0 * math.pi)
 SPINS = (1, -1, 1, -1)
@@ -64,6 +66,6 @@ def read(path: Path) -> Found:
     )
 
 
-def _origin(element: object, where: str) -> np.typing.NDArray[np.float64]:
-    text = None if element is None else element.attrib.get("xyz")  # type: ignore[attr-defined]
+def _origin(element: ElementTree.Element | None, where: str) -> FloatArray:
+    text = None if element is None else element.attrib.get("xyz")
     return numbers(text or "0 0 0", 3, where)

@@ -84,4 +84,4 @@ class JaxModule:
         head = HEAD.format(
             **parts, library="JAX", needs="JAX", imports=imports, use=_USE.format(**parts)
         )
-        return {"simulate_jax.py": head + parts["functions"] + _TAIL}
+        return {"simulate_jax.py": head + str(parts["functions"]) + _TAIL}

@@ -160,4 +160,4 @@ class NumPyModule:
             imports="import math\n\nimport numpy as np",
             use=use,
         )
-        return {"simulate.py": head + parts["functions"] + _TAIL}
+        return {"simulate.py": head + str(parts["functions"]) + _TAIL}

@@ -24,7 +24,7 @@ from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
 from greybox.simulators.words import Word, Wording, quadratic_maps
-from greybox.symbolic import Expr
+from greybox.symbolic import Expr, FloatArray
 
 PER_MINUTE = 60.0 / (2.0 * math.pi)
 
@@ -187,5 +187,5 @@ def _fastest(craft: Craft) -> float:
     return math.sqrt(sum(max(a * a, b * b) for a, b in boxes))
 
 
-def _text(values: np.typing.NDArray[np.float64]) -> str:
+def _text(values: FloatArray) -> str:
     return " ".join(repr(float(v)) for v in values)

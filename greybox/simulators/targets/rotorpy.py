@@ -10,6 +10,7 @@ from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
+from greybox.symbolic import FloatArray
 
 GRAVITY = 9.81
 """Fixed in RotorPy's Multirotor [m/s^2]."""
@@ -137,5 +138,5 @@ def one_drag(wording: Wording, key: str) -> None:
     )
 
 
-def _list(values: np.typing.NDArray[np.float64]) -> str:
+def _list(values: FloatArray) -> str:
     return repr([float(v) for v in values])
