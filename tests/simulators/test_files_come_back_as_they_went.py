@@ -36,6 +36,9 @@ FILES = {
     "px4": "sih.params",
 }
 
+GRAVITY = {"pybullet": 9.8, "px4": 9.80665, "gazebo": 9.80665}
+"""Where the file does not hold it: what its simulator, or the reader, takes [m/s^2]."""
+
 
 def written(target: str, craft: Craft) -> Mapping[str, str]:
     one = target_by_name(target)
@@ -44,7 +47,7 @@ def written(target: str, craft: Craft) -> Mapping[str, str]:
 
 @pytest.mark.parametrize("target", FILES)
 def test_there_and_back(target: str, tmp_path: Path) -> None:
-    gravity = {"rotorpy": 9.81, "pybullet": 9.8, "px4": 9.80665}.get(target, 9.81)
+    gravity = GRAVITY.get(target, 9.81)
     craft = Craft.of(identified(VALUES, gravity=gravity))
     name = FILES[target]
     first = written(target, craft)[name]
