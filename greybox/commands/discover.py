@@ -23,17 +23,20 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "discover",
         help="find, name and add the effects that a vehicle file misses",
-        description="Find where simulation and flights disagree, name the missing effects, add them and show how far the "
-        "gap closed. Writes discovery.json, model.json (the improved model), report.html and, where what is left follows a "
-        "law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
+        description="Find where simulation and flights disagree, name what is missing with an e-value from flights that did "
+        "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json (the improved model), "
+        "report.html and, where what is left follows a law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
         "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
     )
-    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
+    p.add_argument("--from", dest="since", metavar="MODEL.json",
+                   help="what has changed since this model: its numbers and their errors are the prior")  # fmt: skip
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
-    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights on which only the gap is judged")
+    p.add_argument("--test", nargs="+", default=[], metavar="LOG",
+                   help="flights that propose nothing and judge (without: halves of the training flights)")  # fmt: skip
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
-    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="stop after N additions (default 8)")
+    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)")
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
                    help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
@@ -42,6 +45,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at the vehicle file's value")
     p.add_argument("--hold-noise", choices=("none", "sensor"), default="none",
                    help="sensor: hold the sensors' noise levels at those of the vehicle file")  # fmt: skip
+    p.add_argument("--trace", action="store_true", help="also add what is certain and worth nothing")
     p.add_argument(
         "--attainable", action="store_true", help="also learn, without a name, what could be closed (extra gp)"
     )
@@ -65,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
     from greybox.report.discover_report import discover_report
 
@@ -81,9 +86,12 @@ def run(arguments: argparse.Namespace) -> int:
             raise GreyboxError(
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
-    vehicle = read_vehicle(arguments.vehicle)
+    if (arguments.vehicle is None) == (arguments.since is None):
+        raise GreyboxError("discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json")
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
+    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
@@ -130,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
                 adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
                 fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", attainable=arguments.attainable,
-                seed=arguments.seed, faults=faults, progress=progress, save=write,
+                trace=arguments.trace, since=since, seed=arguments.seed, faults=faults, progress=progress, save=write,
             )  # fmt: skip
         except KeyboardInterrupt:
             if content:

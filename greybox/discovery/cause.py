@@ -8,7 +8,7 @@ is absent and a prior about it, so that the evidence for any set of them is defi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -51,17 +51,16 @@ class Cause:
 class Causes:
     """All causes that are `offered`, on one `model` (PhysicsModel) that holds every effect of them
     and those of the vehicle file. `core` are the free parameters that are of no cause, `unjudged`
-    maps what cannot be offered to the reason."""
+    maps what cannot be offered to the reason. `known`: (value, standard deviation) of parameters of
+    a model that was identified before. `flat`: no parameter has a prior."""
 
     model: PhysicsModel
     offered: Mapping[str, Cause]
     core: tuple[str, ...]
     unjudged: Mapping[str, str]
     per_flight: tuple[str, ...] = ()
-    known: Mapping[str, tuple[float, float]] = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "known", dict(self.known or {}))
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    flat: bool = False
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -88,6 +87,14 @@ class Causes:
         core = self.model.without_effect(*gone) if gone else self.model
         states = [Disturbance(group=g) for g in self.groups]
         return Augmented(core=core, parts=(*parts, *states))
+
+    def canonical(self) -> Causes:
+        """The same with the catalogue's own effects: what came over the wire then shares one build."""
+        own = {type(e): e for e in CATALOGUE}
+        effects = tuple(own.get(type(e), e) for e in self.model.effects)
+        if effects == self.model.effects:
+            return self
+        return replace(self, model=replace(self.model, effects=effects))
 
     def with_cause(self, *more: Cause) -> Causes:
         """These and further causes. Raises `ModelError` for an effect that the model cannot have."""

@@ -1,17 +1,23 @@
 """Certificate: an e-value for every name, from flights that did not propose it.
 
-For a structure S with the cause c and a rival R without it, fitted on the flights D1,
+For a structure S with the cause c and a rival R without it, and flights D1 and D2,
 
-    E = p(D2 | S, D1) / p(D2 | R, D1).
+    E = p(D2 | S, D1) / sup over theta of p(D2 | R, theta).
 
-If R is the truth E is 1 on average over D2, so that P(E >= 1/a) <= a whatever the number of
-parameters, in finite samples (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29)). What both
-have (noise levels, core, starts and biases of a flight) is integrated on both sides over the same
-posterior, as group invariance allows (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of
-Statistics 52(4)): fitting some forty such unknowns on D2 in the denominator alone would cost more
-than most names bring. What R has in the place of c is taken at its worst: the supremum over D2. The
-e-value of a name is that against its strongest rival. Where D2 is not given flights are halved, and
-the mean of both ways is an e-value, too.
+If R is the truth, P(E >= 1/a) <= a in finite samples, whatever the number of parameters, at bounds,
+with thresholds and delays (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29): universal
+inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns that
+S and R share (noise levels, core, biases and start of a flight) are then fitted to D2 in the
+denominator alone. The e-value of a name is therefore the mean of this one and of the sharper
+
+    E = p(D2 | S, D1) / p(D2 | R, D1) / regret,
+
+in which both sides integrate what they share over what D1 taught, as group invariance allows
+(Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has in
+the place of c is taken at its worst: `regret` is the supremum over D2 against the integral. Where the
+first alone decides the second is not worked out, and counts as nothing. The e-value of a name is
+that against its strongest rival. Without D2 flights are halved, and the mean of both ways is an
+e-value, too.
 """
 
 from __future__ import annotations
@@ -51,9 +57,10 @@ class Certificate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Flights that taught (`first`), and these with those that judge (`both`)."""
+    """Flights that taught (`first`), those that judge, without priors (`judge`), and `both`."""
 
     first: Flights
+    judge: Flights
     both: Flights
 
 
@@ -61,10 +68,15 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
     """Training against test flights where there are any, else halves of the training flights both
     ways: by flights, those of a single one by time."""
     if test is not None:
-        return [Split(first=train, both=train.on(train.data + renamed(test, train.data.names)))]
+        new = renamed(test, train.data.names)
+        both = train.on(train.data + new)
+        return [Split(first=train, judge=train.on(new, flat=True), both=both)]
     one, other = halves(train.data)
     both = train if len(train.data.flights) > 1 else train.on(one + other)
-    return [Split(first=train.on(one), both=both), Split(first=train.on(other), both=both)]
+    return [
+        Split(first=train.on(a), judge=train.on(b, flat=True), both=both)
+        for a, b in ((one, other), (other, one))
+    ]
 
 
 def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:
@@ -106,27 +118,52 @@ def halves(data: Dataset) -> tuple[Dataset, Dataset]:
 
 
 def certificates(
-    at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split]
+    at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Name -> certificate, of every name of `rivals` in the structure `at`."""
+    """Name -> certificate, of every name of `rivals` in the structure `at`. A rival whose evidence
+    on the flights that taught is hopelessly behind is not asked, but for doing without the name."""
+    behind = judges[0].both.effort.behind
     own = [_predictive(at, at, split) for split in judges]
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
-            told = []
-            for (first, both), split in zip(own, judges, strict=True):
-                theirs = _predictive(rival.fitted, at, split)
-                keys = _keys(theirs[1], split, rival.instead)
-                worst = regret(theirs[0], theirs[1], keys) if keys else 0.0
-                gained = both.log_evidence - first.log_evidence
-                lost = theirs[1].log_evidence - theirs[0].log_evidence
-                told.append(gained - lost - worst)
-            found[rival.instead] = float(np.logaddexp.reduce(told) - np.log(len(told)))
+            if rival.instead and rival.fitted.log_evidence < at.log_evidence - behind:
+                continue
+            found[rival.instead] = _log_e(at, rival, own, judges, bar)
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
         out[name] = Certificate(name=name, log_e=log_e, against=strongest, rivals=found)
     return out
+
+
+def _log_e(
+    at: Fitted,
+    rival: Rival,
+    own: Sequence[tuple[Fitted, Fitted]],
+    judges: Sequence[Split],
+    bar: float,
+) -> float:
+    """Log e-value against one rival; below it where the strict one alone decides."""
+    gained = [both.log_evidence - first.log_evidence for first, both in own]
+    known = rival.fitted.known
+    start = [known, {**at.known, **known}]
+    worst = [s.judge.fit(rival.fitted.structure, start) for s in judges]
+    strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
+    if strict >= bar + np.log(2):
+        return strict - float(np.log(2))
+    told = []
+    for g, split in zip(gained, judges, strict=True):
+        first, both = _predictive(rival.fitted, at, split)
+        keys = _keys(both, split, rival.instead)
+        lost = both.log_evidence - first.log_evidence
+        told.append(g - lost - (regret(first, both, keys) if keys else 0.0))
+    return _mean([strict, _mean(told)])
+
+
+def _mean(logs: Sequence[float]) -> float:
+    """Log of the mean of numbers that are given by their logarithms."""
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
 def _predictive(fitted: Fitted, at: Fitted, split: Split) -> tuple[Fitted, Fitted]:

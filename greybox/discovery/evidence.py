@@ -10,8 +10,9 @@ its mass on the side that is allowed.
 from __future__ import annotations
 
 import concurrent.futures
+import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.special
@@ -34,6 +35,7 @@ from greybox.symbolic import BoolArray, FloatArray
 Key = tuple[str, str | None]
 """An unknown and, where it is one flight's own, the flight (or record)."""
 Structure = frozenset[str]
+Start = Mapping[Key, float]
 WEAK = 1e-8
 """Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
 
@@ -89,7 +91,7 @@ def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
         return -np.inf
     total = -value.cost + float(np.log(scale).sum())
     total += 0.5 * float(free.sum()) * np.log(2 * np.pi) - 0.5 * float(logdet)
-    for i in np.flatnonzero(held):  # integral of exp(-g t - h t^2 / 2) over t > 0
+    for i in np.flatnonzero(held).tolist():  # integral of exp(-g t - h t^2 / 2) over t > 0
         g, c = abs(gradient[i]), h[i, i]
         ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
         total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
@@ -130,6 +132,18 @@ class _There:
         return self.theta, self.status
 
 
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One fit in plain values: a structure, unknowns to start from, of which the likeliest is taken
+    (none: noise levels from the data), and where the solver stops."""
+
+    structure: Structure
+    starts: tuple[Start, ...]
+    tolerance: float
+    iterations: int
+    target: float = np.inf
+
+
 @dataclass(kw_only=True, eq=False)
 class Flights:
     """Fits of structures on one set of flights, each done once. Further causes may join."""
@@ -141,67 +155,89 @@ class Flights:
     executor: concurrent.futures.Executor | None = None
     _known: dict[Structure, Fitted] = field(default_factory=dict)
 
-    def on(self, data: Dataset) -> Flights:
-        """The same causes on other flights."""
-        return Flights(causes=self.causes, data=data, options=self.options, effort=self.effort)
-
-    def choices(self, structure: Iterable[str], host: Iterable[str] = ()) -> FitOptions:
-        """What is free, and every prior, in a fit of a structure on the model of `host`."""
-        chosen = [self.causes.offered[n] for n in structure]
-        model = self.causes.built(host or structure)
-        declared = {d.name: d for d in model.parameters}
-        own = [p for c in chosen for p in c.parameters if p in declared]
-        parts = [n for n in declared if n.split(".")[0] == "disturbance"]
-        free = (*self.causes.core, *own, *parts)
-        priors = {n: p for n, d in declared.items() if (p := self.causes.prior(d)) is not None}
-        null = {n: p[0] for n, p in priors.items() if n.split(".")[0] in self.causes.effects}
-        return self.options.but(
-            free=free,
-            build=[n for n in declared if n in free or n in null],
-            values=null,
-            priors=priors,
-            flight_priors=priors,
-            per_flight=[n for n in self.causes.per_flight if n in declared],
-            initialisation="nominal",
+    def on(self, data: Dataset, *, flat: bool = False) -> Flights:
+        """The same causes on other flights; `flat`: no parameter has a prior."""
+        return Flights(
+            causes=replace(self.causes, flat=flat),
+            data=data,
+            options=self.options,
+            effort=self.effort,
+            executor=self.executor,
         )
-
-    def problem(self, structure: Structure, host: Structure | None = None) -> Problem:
-        """The unknowns and the cost of a structure, on the model of `host` which has more effects."""
-        there = structure if host is None else host
-        model = self.causes.built(sorted(there))
-        return make_problem(model, self.data, self.choices(sorted(structure), sorted(there)))
 
     def fit(
         self,
         structure: Iterable[str],
-        starts: Sequence[Mapping[Key, float]] = (),
-        *,
-        than: Fitted | None = None,
-        host: Structure | None = None,
+        starts: Sequence[Start] = (),
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared), on its own model or on that of the `host`, which has more effects.
-
-        Where it is only held against `than`, it is carried on as long as it may catch up, and made
-        exact where it comes near.
-        """
-        chosen = frozenset(structure)
-        known = self._known.get(chosen)
-        if known is not None and (than is not None or known.exact):
+        not say is as declared)."""
+        known = self._known.get(frozenset(structure))
+        if known is not None and known.exact:
             return known
-        with threadpool_limits(limits=1):
-            if known is None:
-                problem = self.problem(chosen, host)
-                offered = [problem.inside(vector(problem, s)) for s in starts]
-                offered = offered or [noise_start(problem)]
-                start = offered[0]
-                if len(offered) > 1:
-                    start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
-            else:
-                problem, start = known.problem, known.theta
-            found = _solved(problem, chosen, start, self.effort, than)
-        self._known[chosen] = found
-        return found
+        again = Task(
+            structure=frozenset(structure),
+            starts=tuple(starts) if known is None else (known.known,),
+            tolerance=self.effort.exact,
+            iterations=self.effort.iterations,
+        )
+        return self._carried_out([again], exact=True)[0]
+
+    def contest(self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted) -> list[Fitted]:
+        """Structures that are held against each other and against `than`, each from the likeliest of
+        its starts: carried on as long as they may catch up, and exact where they come near."""
+        e = self.effort
+        new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
+        self.prepare(s for s, _ in new)
+        opened = [Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new]
+        self._carried_out(opened)
+
+        def found() -> list[Fitted]:
+            return [self._known[s] for s, _ in asked]
+
+        best = max([than, *found()], key=lambda f: f.log_evidence)
+        on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
+        goes_on = Task(
+            structure=frozenset(),
+            starts=(),
+            tolerance=e.rough,
+            iterations=e.iterations - e.opening,
+            target=best.value.likelihood + e.behind,
+        )
+        self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
+        best = max([than, *found()], key=lambda f: f.log_evidence)
+        near = [f for f in found() if f.log_evidence > best.log_evidence - e.behind]
+        for f in near:
+            self.fit(f.structure)
+        return found()
+
+    def _carried_out(self, tasks: Sequence[Task], exact: bool = False) -> list[Fitted]:
+        """Carry out tasks, side by side where there is an executor; what cannot be sent runs here."""
+        common = self.causes, self.data, self.options
+        if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
+            sent = [self.executor.submit(solved, *common, t) for t in tasks]
+            answers = [f.result() for f in sent]
+        else:
+            answers = [solved(*common, t) for t in tasks]
+        out = []
+        for task, (theta, status) in zip(tasks, answers, strict=True):
+            with threadpool_limits(limits=1):
+                problem = problem_of(*common, task.structure)
+                value = problem.evaluate(theta)
+            evidence = -np.inf
+            if value.valid and value.hessian is not None:
+                evidence = log_evidence(problem, theta, value)
+            self._known[task.structure] = Fitted(
+                structure=task.structure,
+                problem=problem,
+                theta=theta,
+                value=value,
+                status=status,
+                log_evidence=evidence,
+                exact=exact,
+            )
+            out.append(self._known[task.structure])
+        return out
 
     def known(self, structure: Iterable[str]) -> Fitted | None:
         """The fit of a structure that was done already."""
@@ -214,8 +250,7 @@ class Flights:
 
         def build(structure: Structure) -> None:
             model = self.causes.built(sorted(structure))
-            options = self.choices(sorted(structure))
-            wanted = set(options.build or ())
+            wanted = set(choices(self.causes, self.options, structure).free or ())
             engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted), quick=quick)
 
         with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
@@ -224,51 +259,65 @@ class Flights:
     def settled(self, found: Fitted) -> Fit:
         """The whole result of a fit, with errors, as `greybox.estimation.fit` gives it."""
         p = found.problem
-        options = self.choices(sorted(found.structure))
+        options = choices(self.causes, self.options, found.structure)
         solver = _There(theta=found.theta, status=found.status)
         return fit(p.dynamics, self.data, options, solver=solver)
 
 
-def _solved(
-    problem: Problem, structure: Structure, start: FloatArray, effort: Effort, than: Fitted | None
-) -> Fitted:
-    """The optimum from `start`; a rough one that is far behind `than` stays as it is."""
-    solver = LevenbergMarquardt(tolerance=effort.exact, max_iterations=effort.iterations)
-    if than is not None:
-        first = LevenbergMarquardt(tolerance=effort.rough, max_iterations=effort.opening)
-        theta, status = first.solve(problem, start)
-        found = _at(problem, structure, theta, status)
-        if not status.converged:
-            goes_on = LevenbergMarquardt(
-                tolerance=effort.rough,
-                max_iterations=effort.iterations - effort.opening,
-                target=than.value.likelihood + effort.behind,
-            )
-            theta, status = goes_on.solve(problem, theta)
-            found = _at(problem, structure, theta, status)
-        if found.log_evidence < than.log_evidence - effort.behind:
-            return found
-        start = theta
-    theta, status = solver.solve(problem, start)
-    return _at(problem, structure, theta, status, exact=True)
-
-
-def _at(
-    problem: Problem, structure: Structure, theta: FloatArray, status: Status, exact: bool = False
-) -> Fitted:
-    value = problem.evaluate(theta)
-    evidence = -np.inf
-    if value.valid and value.hessian is not None:
-        evidence = log_evidence(problem, theta, value)
-    return Fitted(
-        structure=structure,
-        problem=problem,
-        theta=theta,
-        value=value,
-        status=status,
-        log_evidence=evidence,
-        exact=exact,
+def choices(causes: Causes, options: FitOptions, structure: Structure) -> FitOptions:
+    """What is free, and every prior, in a fit of a structure."""
+    chosen = [causes.offered[n] for n in sorted(structure)]
+    declared = {d.name: d for d in causes.built(sorted(structure)).parameters}
+    own = [p for c in chosen for p in c.parameters if p in declared]
+    lasting = [n for n in declared if n.split(".")[0] == "disturbance"]
+    priors = {n: p for n, d in declared.items() if (p := causes.prior(d)) is not None}
+    if causes.flat:
+        free = (*causes.core, *own, *lasting)
+        means = {n: priors[n][0] if n in priors else declared[n].nominal for n in free}
+        priors = {n: (m, np.inf) for n, m in means.items()}
+    values = {n: p[0] for n, p in priors.items() if causes.prior_of(n) is not None}
+    return options.but(
+        free=(*causes.core, *own, *lasting),
+        values={**values, **{n: v for n, (v, _) in causes.known.items() if n in declared}},
+        priors=priors,
+        flight_priors=priors,
+        per_flight=[n for n in causes.per_flight if n in declared],
+        initialisation="nominal",
     )
+
+
+def problem_of(
+    causes: Causes, data: Dataset, options: FitOptions, structure: Structure
+) -> Problem:
+    """The unknowns and the cost of a structure. Raises `DataError`, `ModelError`."""
+    model = causes.built(sorted(structure))
+    return make_problem(model, data, choices(causes, options, structure))
+
+
+def solved(
+    causes: Causes, data: Dataset, options: FitOptions, task: Task
+) -> tuple[FloatArray, Status]:
+    """Carry out one task: (unknowns (n,), how the solver ended)."""
+    with threadpool_limits(limits=1):
+        problem = problem_of(causes.canonical(), data, options, task.structure)
+        offered = [problem.inside(vector(problem, s)) for s in task.starts]
+        offered = offered or [noise_start(problem)]
+        start = offered[0]
+        if len(offered) > 1:
+            start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
+        solver = LevenbergMarquardt(
+            tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
+        )
+        return solver.solve(problem, start)
+
+
+def _sendable(content: object) -> bool:
+    """Whether it can be pickled."""
+    try:
+        pickle.dumps(content)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
+    return True
 
 
 def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:

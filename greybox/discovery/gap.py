@@ -17,7 +17,7 @@ import numpy as np
 from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
-from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray
@@ -90,12 +90,6 @@ def unknown_start(model: IdentifiedModel) -> bool:
     if not model.sensors:
         return False
     return not (shown["position"] | shown["velocity"]) & model.sensors or not shown["rate"] & model.sensors
-
-
-def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
-    """The squared errors of `foresee` and of the floor."""
-    seen = foresee(model, data, adapt=adapt)
-    return seen.own, seen.floor
 
 
 def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
@@ -200,7 +194,7 @@ def gap(
     before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, proposals: Squares | None = None,
     attainable: Squares | None = None, draws: int = 500, seed: int = 0,
 ) -> list[GapRow]:  # fmt: skip
-    """Rows for every group and horizon that both models predict, from what `squares` gave; `proposals` and `attainable`
+    """Rows for every group and horizon that both models predict, own and floor of `foresee`; `proposals` and `attainable`
     are squared errors of the model with the proposed laws and of the one with a learned part."""
     rng = np.random.default_rng(seed)
     out = []

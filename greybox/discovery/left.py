@@ -141,7 +141,7 @@ def _raced(
         start = dict(at.known)
         for cause, law in zip(causes, lawful, strict=True):
             start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
-        written = flights.fit(at.structure | {c.name for c in causes}, [start], than=at)
+        (written,) = flights.contest([(at.structure | {c.name for c in causes}, [start])], at)
     except GreyboxError:
         return Left(axes=axes)
     if written.log_evidence < at.log_evidence + bar:

@@ -24,6 +24,8 @@ from greybox.discovery.differences import widened
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.symbolic import FloatArray
 
+CLEARLY = 5.0
+"""Log evidence by which a pair must stand in for a cause better than its members to be tried."""
 DEAD = 1e-8
 """Information on a parameter, per typical size, that is the rounding of a difference."""
 
@@ -84,7 +86,7 @@ class Scores:
             ]
             if not out:
                 _, logdet = np.linalg.slogdet(m)
-                return estimate, rows, float(-0.5 * s @ estimate - 0.5 * logdet)
+                return np.asarray(estimate, dtype=float), rows, float(-0.5 * s @ estimate - 0.5 * logdet)
             rows = [i for i in rows if i not in out]
         return np.zeros(0), [], 0.0
 
@@ -142,13 +144,13 @@ class Scores:
         best = sorted(singles, key=lambda n: -singles[n])
         for a, b in itertools.combinations(best, 2):
             ask((a, b))
-        pairs = [
-            (share, names, p)
-            for names, (share, p) in found.items()
-            # A pair counts where neither alone does as much.
-            if len(names) == 1 or share > max(singles[n] for n in names) + 0.5 * (1 - share) + 1e-3
-        ]
-        return sorted(pairs, key=lambda row: (-row[0], len(row[1])))
+        rows = []
+        for names, (share, p) in found.items():
+            alone = max((singles[n] for n in names), default=0.0)
+            # A pair counts where it closes half of what the better of both leaves, and clearly.
+            if len(names) == 1 or share - alone > max(0.5 * (1 - alone), CLEARLY / cost):
+                rows.append((share, names, p))
+        return sorted(rows, key=lambda row: (-row[0], len(row[1])))
 
     def angle(self, one: Sequence[str], other: Sequence[str]) -> float:
         """Cosine of the smallest principal angle between the projected sensitivities of two sets of
@@ -217,20 +219,26 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     for n, rows in mine.items():
         at_places[n] = tuple(range(k, k + len(rows)))
         k += len(rows)
-    declared = [causes.prior_of(unknowns[i].name) for i in chosen]
+    null_of = [_prior_of(flights, unknowns[i].name)[0] for i in chosen]
     return Scores(
         at=at,
         keys=tuple((unknowns[i].name, unknowns[i].flight) for i in chosen),
         score=np.asarray(s * scale[chosen] * sigma),
         information=out,
         sigma=sigma,
-        null=np.array([d[0] for d in declared]),
+        null=np.array(null_of),
         value=theta[chosen],
         lower=np.array([unknowns[i].lower for i in chosen]),
         upper=np.array([unknowns[i].upper for i in chosen]),
         places=at_places,
         absent=tuple(absent),
     )
+
+
+def _prior_of(flights: Flights, name: str) -> tuple[float, float]:
+    own = flights.causes.prior_of(name)
+    assert own is not None, "it is of a cause"
+    return own
 
 
 _NONE = Cause(name="", kind="effect", parameters=(), prior={})

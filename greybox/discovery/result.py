@@ -224,7 +224,7 @@ class Discovery:
         return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
-NO_LAW: Mapping[str, Any] = {"file": None, "proposal": None, "depends_on": []}
+NO_LAW: dict[str, Any] = {"file": None, "proposal": None, "depends_on": []}
 
 
 def _in_words(effect: Mapping[str, Any]) -> str:

@@ -35,12 +35,12 @@ RULES = Rules()
 class Effort:
     """How much is tried. Raising any of these finds more or the same, and costs time."""
 
-    tried: int = 4
+    tried: int = 3
     """Causes, and pairs, that are refitted at every step."""
-    rivals: int = 3
+    rivals: int = 2
     """Causes and pairs that may stand in for a name and are refitted against it."""
     iterations: int = 60
-    opening: int = 12
+    opening: int = 6
     """Iterations after which a fit is first held against the best."""
     rough: float = 0.1
     """Where a fit stops that is only compared: a tenth in log evidence."""

@@ -81,15 +81,11 @@ class Search:
 
     def _sensors(self, at: Fitted) -> Fitted | None:
         """The structure with colour or a filter of a sensor whose innovations are not white."""
-        found = []
-        for part in sensor_proposals(at, self.flights.causes):
-            causes = self.flights.causes.with_cause(part)
-            if frozenset({*at.structure, part.name}) in {s for _, s in self.tried}:
-                continue
-            self.tried.add((at.structure, frozenset({*at.structure, part.name})))
-            self.flights.causes = causes
-            found.append(self._fit({*at.structure, part.name}, [at.known]))
-        return self._best(at, found)
+        parts = sensor_proposals(at, self.flights.causes)
+        self.flights.causes = self.flights.causes.with_cause(*parts)
+        wanted = [at.structure | {p.name} for p in parts]
+        wanted = [s for s in wanted if self._new(at, s)]
+        return self._best(at, self.flights.contest([(s, [at.known]) for s in wanted], at))
 
     def _add(self, at: Fitted) -> Fitted | None:
         """The structure with one cause, or several, more."""
@@ -125,16 +121,18 @@ class Search:
     def _tries(self, at: Fitted, chosen: Iterable[Proposal]) -> list[Fitted]:
         wanted = []
         for p in chosen:
-            structure = frozenset({*at.structure, *p.causes})
-            if structure != at.structure and (at.structure, structure) not in self.tried:
-                self.tried.add((at.structure, structure))
-                wanted.append((structure, p))
-        self.flights.prepare(s for s, _ in wanted)
-        out: list[Fitted] = []
-        for structure, p in wanted:
-            held = max([at, *out], key=self.score)
-            out.append(self._fit(structure, self._starts(at, p), held))
-        return out
+            structure = at.structure | set(p.causes)
+            if self._new(at, structure):
+                wanted.append((structure, self._starts(at, p)))
+        return self.flights.contest(wanted, at)
+
+    def _new(self, at: Fitted, structure: Structure) -> bool:
+        """Whether a move was not tried yet."""
+        move = (at.structure, structure)
+        if structure == at.structure or move in self.tried:
+            return False
+        self.tried.add(move)
+        return True
 
     def _starts(self, at: Fitted, p: Proposal) -> list[Mapping[Key, float]]:
         null = self.flights.causes.prior_of
@@ -152,15 +150,13 @@ class Search:
         """The structure without causes that are not worth their price; None where all are."""
         found, now = None, at
         while True:
-            options = [n for n in sorted(now.structure) if self._doubted(now, n)]
-            fits = []
-            for name in options:
-                smaller = now.structure - {name}
-                if (now.structure, smaller) in self.tried:
-                    continue
-                self.tried.add((now.structure, smaller))
-                fits.append(self._fit(smaller, [_without(now, self.flights, name)], now))
-            better = self._best(now, fits)
+            doubted = [n for n in sorted(now.structure) if self._doubted(now, n)]
+            wanted = [
+                (now.structure - {n}, [_without(now, self.flights, n)])
+                for n in doubted
+                if self._new(now, now.structure - {n})
+            ]
+            better = self._best(now, self.flights.contest(wanted, now))
             if better is None:
                 return found
             found = now = better
@@ -185,25 +181,21 @@ class Search:
         for name in self.named(at.structure):
             left = at.structure - {name}
             known = _without(at, self.flights, name)
-            rows = [Rival(instead=(), share=0.0, fitted=self._fit(left, [known], at, exact=True))]
+            rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
+            asked: list[tuple[Structure, list[Mapping[Key, float]]]] = [(left, [known])]
             for share, names, p in scores.instead(name)[: self.flights.effort.rivals]:
                 if share < 0.5:
                     break
-                fitted = self._fit(left | set(names), [{**known, **p.start}, known], at)
-                rows.append(Rival(instead=names, share=share, fitted=fitted))
-            self.rivals[name] = rows
+                rows.append((names, share))
+                asked.append((left | set(names), [{**known, **p.start}, known]))
+            fits = self.flights.contest(asked, at)
+            self.rivals[name] = [
+                Rival(instead=names, share=share, fitted=f)
+                for (names, share), f in zip(rows, fits, strict=True)
+            ]
         return self.rivals
 
     # ---------------------------------------------------------------- fits
-
-    def _fit(
-        self,
-        structure: Iterable[str],
-        starts: list[Mapping[Key, float]],
-        held: Fitted | None = None,
-        exact: bool = False,
-    ) -> Fitted:
-        return self.flights.fit(structure, starts, than=None if exact else held)
 
     def _best(
         self,

@@ -270,7 +270,7 @@ class _Run:
         self, search: Search, at: Fitted, rivals: Mapping[str, Sequence[Any]]
     ) -> tuple[list[Name], Fitted]:
         """What is said of every cause of the structure, and the structure of what is said."""
-        certified = certificates(at, rivals, splits(self.flights, self.test))
+        certified = certificates(at, rivals, splits(self.flights, self.test), self.bar)
         names = []
         for name, certificate in certified.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)

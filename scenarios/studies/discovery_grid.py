@@ -112,6 +112,7 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
             for e in content["effects"]
         },
         "log10_e": {n.name: n.to_dict()["log10_e"] for n in found.names},
+        "offered": len(content["minimum_detectable"]) + len(found.names),
         "status": {n.name: n.status for n in found.names},
         "worth": {n.name: n.worth.share for n in found.names if n.worth is not None},
         "ambiguous": [

@@ -58,7 +58,7 @@ def oracle(
         n: [Rival(instead=(), share=0.0, fitted=flights.fit(set(names) - {n}, [told.known]))]
         for n in names
     }
-    certified = certificates(told, without, splits(flights, led(test)))
+    certified = certificates(told, without, splits(flights, led(test)), np.inf)
     others: dict[str, Fitted] = {}
     for group in groups:
         kept = [n for n in names if n not in {m for r in group for m in r.split("+")}]
@@ -80,7 +80,7 @@ def ahead(seen: Foresight) -> dict[str, float]:
     """Group -> RMSE half a second ahead."""
     out = {}
     for (group, horizon), blocks in seen.own.items():
-        if horizon == AHEAD and sum(b.size for b in blocks):
+        if horizon == AHEAD and any(b.size for b in blocks):
             out[group] = float(np.sqrt(np.concatenate(blocks).mean()))
     return out
 
