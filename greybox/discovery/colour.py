@@ -14,11 +14,13 @@ from greybox.discovery.evidence import Fitted
 from greybox.discovery.rules import RULES
 from greybox.estimation.fit import Fit
 from greybox.model.layer import physics_of
-from greybox.model.noise import Coloured, LowPass, sensor_parts
+from greybox.model.noise import Coloured, LowPass, SensorPart, sensor_parts
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
 LAGS = 25
 """Lags of the autocorrelation that are looked at."""
+CLEARLY = 0.01
+"""Level at which a channel counts as not white, over all channels: colour is only proposed by it."""
 FILTERED = ("gyro", "accelerometer")
 """Sensors that firmware filters before it logs them."""
 
@@ -38,28 +40,31 @@ def innovations_of(at: Fitted) -> dict[str, ChannelWhiteness]:
     return {c.name: c for c in test.channels}
 
 
-def sensor_proposals(at: Fitted, causes: Causes) -> list[Cause]:
-    """Colour, and for inertial sensors a low-pass, of the sensor whose innovations are furthest from
-    white; none where all are."""
+def sensor_proposals(at: Fitted, causes: Causes) -> list[list[Cause]]:
+    """Two ways to say what is not white: colour of every sensor whose innovations are clearly not,
+    and a low-pass of those that firmware filters with colour of the others; none where all are."""
     physics = physics_of(at.problem.dynamics)
     assert physics is not None
     tested = innovations_of(at)
-    worst: dict[str, float] = {}
+    names = []
     for sensor in physics.sensors:
         own = [s.name for s in sensor.innovation_signals(physics.vehicle)]
         told = [tested[n] for n in own if n in tested]
-        share = max(
-            (c.predictable for c in told if c.test.p_value < 0.01 / len(tested)), default=0.0
-        )
-        if share > RULES.colour:
-            worst[sensor.name] = share
-    out = []
-    for name in sorted(worst, key=lambda n: -worst[n]):
-        parts = [Coloured(sensor=name)]
-        if name in FILTERED:
-            parts.append(LowPass(sensor=name))  # type: ignore[arg-type]
-        out += [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure]
-    return out
+        clear = [c.predictable for c in told if c.test.p_value < CLEARLY / len(tested)]
+        if max(clear, default=0.0) > RULES.colour:
+            names.append(sensor.name)
+    coloured: list[SensorPart] = [Coloured(sensor=n) for n in names]
+    filtered: list[SensorPart] = [
+        LowPass(sensor=n) if n in FILTERED else Coloured(sensor=n) for n in names
+    ]
+    ways = [coloured] + ([filtered] if set(names) & set(FILTERED) else [])
+    found = [[sensor_cause(p, causes.model) for p in w if not _has(at, p)] for w in ways]
+    return [w for w in found if w]
+
+
+def _has(at: Fitted, part: SensorPart) -> bool:
+    """Whether the sensor has noise of its own, or a filter, already."""
+    return bool({f"coloured.{part.sensor}", f"low_pass.{part.sensor}"} & at.structure)
 
 
 def sensor_table(found: Fit) -> list[dict[str, Any]]:

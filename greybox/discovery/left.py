@@ -25,6 +25,7 @@ from greybox.discovery.terms import Memory, wanted_features
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import with_physics
 from greybox.model.noise import disturbances, without_parts
 from greybox.residual.discrepancy import discrepancy
 
@@ -46,11 +47,22 @@ LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Left:
-    """All axes, and the structure with the laws that won (None without any)."""
+    """All axes, and the structure with the laws that won (None without any); `taken` are names of
+    effects that proposals must not have."""
 
     axes: tuple[Axis, ...]
     written: Fitted | None = None
-    model: IdentifiedModel | None = None
+    taken: tuple[str, ...] = ()
+
+    def lawful(self, settled: Fit) -> IdentifiedModel:
+        """The model of `written`, whose whole result is `settled`, its laws read from the files that
+        hold its numbers: a model file goes with the files beside it."""
+        effects = proposed(self.laws, self.taken)
+        own = [e.name for e in effects]
+        dynamics = with_physics(
+            settled.model.dynamics, lambda m: m.without_effect(*own).with_effect(*effects)
+        )
+        return replace(settled.model, dynamics=dynamics)
 
     @property
     def unnamed(self) -> tuple[Axis, ...]:
@@ -133,7 +145,7 @@ def _raced(
 ) -> Left:
     """The laws against the structure without them: those stay whose evidence says so."""
     vehicle = flights.causes.model.vehicle
-    taken = [e.name for e in flights.causes.model.effects]
+    taken = tuple(e.name for e in flights.causes.model.effects)
     effects = proposed(lawful, taken)
     causes = [cause_of(e, vehicle) for e in effects]
     try:
@@ -148,7 +160,7 @@ def _raced(
         return Left(axes=axes)
     values = {k[0]: v for k, v in written.known.items()}
     by_axis = {a.channel: _refitted(a, c.name, values) for a, c in zip(lawful, causes, strict=True)}
-    return Left(axes=tuple(by_axis.get(a.channel, a) for a in axes), written=written)
+    return Left(axes=tuple(by_axis.get(a.channel, a) for a in axes), written=written, taken=taken)
 
 
 def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:

@@ -119,9 +119,12 @@ class Discovery:
 
     def proposals(self) -> dict[str, str]:
         """File name -> text of an effect file, one for every law of what is left."""
-        laws = () if self.left is None else self.left.laws
-        taken = () if self.fit is None else self.fit.model.effects
-        return {file_name(n): proposal_text(law, n, taken) for n, law in enumerate(laws, 1)}
+        if self.left is None:
+            return {}
+        taken = self.left.taken
+        return {
+            file_name(n): proposal_text(law, n, taken) for n, law in enumerate(self.left.laws, 1)
+        }
 
     def locations(self) -> list[dict[str, Any]]:
         """Axes of force and torque: RMS of the discrepancy before and after the names."""

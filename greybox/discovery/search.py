@@ -81,9 +81,9 @@ class Search:
 
     def _sensors(self, at: Fitted) -> Fitted | None:
         """The structure with colour or a filter of a sensor whose innovations are not white."""
-        parts = sensor_proposals(at, self.flights.causes)
-        self.flights.causes = self.flights.causes.with_cause(*parts)
-        wanted = [at.structure | {p.name} for p in parts]
+        ways = sensor_proposals(at, self.flights.causes)
+        self.flights.causes = self.flights.causes.with_cause(*(c for way in ways for c in way))
+        wanted = [at.structure | {c.name for c in way} for way in ways]
         wanted = [s for s in wanted if self._new(at, s)]
         return self._best(at, self.flights.contest([(s, [at.known]) for s in wanted], at))
 

@@ -201,7 +201,7 @@ class _Run:
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
         self.say("gap", 0.9)
-        lawful = None if left.written is None else self.settled(left.written).model
+        lawful = None if left.written is None else left.lawful(self.settled(left.written))
         rows = self._gap(null, at, lawful)
         scores = search.scores
         smallest: dict[str, dict[str, float]] = {}
