@@ -32,7 +32,9 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
     p.add_argument("--from", dest="since", metavar="MODEL.json",
                    help="what has changed since this model: its numbers and their errors are the prior")  # fmt: skip
-    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
+    p.add_argument("--continue", dest="folder", metavar="FOLDER",
+                   help="the flights are further ones: their evidence multiplies that of the names in FOLDER")  # fmt: skip
+    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG",
                    help="flights that propose nothing and judge (without: halves of the training flights)")  # fmt: skip
     flight_log_options(p)
@@ -52,7 +54,8 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
-    p.add_argument("--out", default="greybox-discover", metavar="DIR", help="folder for the results")
+    p.add_argument("--out", default=None, metavar="DIR",
+                   help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
     p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
@@ -80,7 +83,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
-    out = Path(arguments.out)
+    if arguments.folder is not None:
+        return _go_on(arguments)
+    if not arguments.train:
+        raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
+    out = Path(arguments.out or "greybox-discover")
     for path in map(Path, arguments.effects_file):
         if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
             raise GreyboxError(
@@ -161,4 +168,41 @@ def run(arguments: argparse.Namespace) -> int:
             model = shlex.quote(str(out / WITH_LAWS))
             print(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
         print(f"wrote {', '.join(kept)} and report.html in {out}")
+    return 0
+
+
+def _go_on(arguments: argparse.Namespace) -> int:
+    """Multiply the evidence of the names of an earlier search by that of further flights."""
+    from greybox.discovery.further import further
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, read_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.identified import IdentifiedModel
+    from greybox.report.discover_report import discover_report
+
+    if arguments.vehicle is not None or arguments.since is not None:
+        raise GreyboxError("--continue goes on with its own model", fix="leave --vehicle and --from out")
+    folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
+    if not logs:
+        raise GreyboxError("--continue needs further flights", fix="--train LOGS or --test LOGS")
+    content = read_json(folder / "discovery.json")
+    files = [*content.get("effects_files", ()), *arguments.effects_file]
+    own = [e for path in files for e in load_effects(path)]
+    model = IdentifiedModel.load(folder / "model.json", effects=own)
+    rate = arguments.rate or 1 / model.sample_time
+    data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
+    content = further(content, model, data, own)
+    out = Path(arguments.out or folder)
+    write_json(out / "discovery.json", content)
+    title = f"What the model of {model.physics.vehicle.name} misses"
+    write_atomic(out / "report.html", discover_report(content, title=title))
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+        return 0
+    if arguments.json:
+        write_json(arguments.json, content)
+    print(content["line"])
+    for e in (*content["effects"], *content["not_certified"]):
+        print(f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)")
+    print(f"wrote discovery.json and report.html in {out}")
     return 0

@@ -109,11 +109,11 @@ class Causes:
 
     def prior(self, d: Parameter) -> tuple[float, float] | None:
         """(mean, sigma) of a parameter where it is not what its declaration says."""
-        owner = self.offered.get(d.name.split(".")[0])
-        if owner is not None and d.name in owner.prior:
-            return owner.prior[d.name]
         if d.name in self.known:
             return self.known[d.name]
+        own = self.prior_of(d.name)
+        if own is not None:
+            return own
         if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
             return d.nominal, RULES.typical * d.scale
         return None

@@ -22,8 +22,11 @@ from threadpoolctl import threadpool_limits
 from greybox.discovery.cause import Cause
 from greybox.discovery.differences import widened
 from greybox.discovery.evidence import Fitted, Flights, Key
+from greybox.discovery.rules import RULES
 from greybox.symbolic import FloatArray
 
+BODY = ("position", "velocity", "attitude", "rate")
+"""States of the rigid body, by the beginning of their names."""
 CLEARLY = 5.0
 """Log evidence by which a pair must stand in for a cause better than its members to be tried."""
 DEAD = 1e-8
@@ -60,6 +63,9 @@ class Scores:
     upper: FloatArray
     places: dict[str, tuple[int, ...]]
     absent: tuple[str, ...]
+    unscored: tuple[str, ...] = ()
+    """Causes that bring a motion which the fit does not have (a velocity that nothing measures):
+    their score would be that of a state that nobody holds, and only a fit can tell."""
 
     def _rows(self, names: Iterable[str]) -> list[int]:
         rows = [i for n in names for i in self.places.get(n, ())]
@@ -174,7 +180,9 @@ def _root(v: FloatArray) -> FloatArray:
 def scored(flights: Flights, at: Fitted) -> Scores:
     """Scores of all absent effects at the fit `at`. Raises `FitError` where it predicts nothing."""
     causes = flights.causes
-    absent = [n for n in causes.effects if n not in at.structure]
+    gone = [n for n in causes.effects if n not in at.structure]
+    unscored = [n for n in gone if _brings_motion(flights, at, n)]
+    absent = [n for n in gone if n not in unscored]
     null = {p: causes.offered[n].prior[p][0] for n in absent for p in causes.offered[n].parameters}
     late = {n for n in absent if causes.offered[n].early}
     near = causes.built(sorted({*at.structure, *absent} - late))
@@ -232,7 +240,24 @@ def scored(flights: Flights, at: Fitted) -> Scores:
         upper=np.array([unknowns[i].upper for i in chosen]),
         places=at_places,
         absent=tuple(absent),
+        unscored=tuple(unscored),
     )
+
+
+def _brings_motion(flights: Flights, at: Fitted, name: str) -> bool:
+    """Whether a cause brings states of the rigid body that the fit does not have."""
+    have = set(at.problem.dynamics.states.names)
+    more = set(flights.causes.built(sorted({*at.structure, name})).states.names) - have
+    return any(n.split(".")[0] in BODY for n in more)
+
+
+def typical(flights: Flights, *names: str) -> Proposal:
+    """Causes with a fit from their typical size as the only test."""
+    start: dict[Key, float] = {}
+    for n in names:
+        for p, (null, sigma) in flights.causes.offered[n].prior.items():
+            start[p, None] = null + sigma / RULES.typical
+    return Proposal(causes=names, gain=0.0, start=start)
 
 
 def _prior_of(flights: Flights, name: str) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
 from greybox.discovery.left import axis_gains
-from greybox.discovery.propose import Proposal, Scores, proposals, scored, unfelt
+from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
 
 ROUNDS = 24
 """Moves after which a search ends in any case: more than any craft misses."""
@@ -98,6 +98,7 @@ class Search:
         together = self._together(scores)
         if together is not None:
             chosen.insert(0, together)
+        chosen += [typical(self.flights, n) for n in scores.unscored]
         best = self._best(at, self._tries(at, chosen), scores)
         if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
             # What is not felt alone can only explain what is there and has no name.

@@ -11,6 +11,7 @@ import jsonschema
 import pytest
 
 from greybox.data import dataset_from_arrays
+from greybox.discovery.further import further
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT, Effort
 from greybox.discovery.workflow import discover
@@ -114,6 +115,22 @@ def test_what_changed_since_a_model_was_identified_has_a_name(short: None):
     train, test = small_world.flown(DAMPING), small_world.flown(DAMPING, seeds=(11,), name="test")
     found = discover(vehicle(), train, test, since=before)
     assert [e["name"] for e in found.effects()] == ["rotational_damping"]
+
+
+@pytest.mark.slow
+def test_further_flights_multiply_the_evidence_either_way(damped: tuple[Discovery, list[Discovery]]):
+    found, content = damped[0], valid(damped[0])
+    more = further(content, found.model, small_world.flown(DAMPING, seeds=(21,), name="more"))
+    (before,), (after,) = content["effects"], more["effects"]
+    assert after["log10_e"] == pytest.approx(before["log10_e"] + after["further"])
+    assert after["further"] > 1.0
+    assert more["tested_on"] == ["test0", "more0"]
+    clean = small_world.flown(seeds=(31, 32, 33, 34, 35, 36), name="clean", seconds=8.0)
+    against = further(content, found.model, clean)
+    assert against["effects"] == []
+    assert against["verdict"] == "nothing_missing"
+    with pytest.raises(DataError, match="took part"):
+        further(content, found.model, small_world.flown(DAMPING, seeds=(11,), name="test"))
 
 
 @pytest.mark.slow
