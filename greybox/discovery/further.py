@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.discovery.cause import Known, offer, since
-from greybox.discovery.evidence import Flights, Structure
+from greybox.discovery.evidence import Flights, Key, Structure
 from greybox.discovery.lead import led
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
@@ -60,7 +60,7 @@ def further(
     )
     structure = frozenset(n for n in model.effects if n in causes.offered)
     flights = Flights(causes=causes, data=led(data))
-    start = {(n, None): float(v) for n, v in model.values.items()}
+    start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])
     flat = flights.on(flights.data, flat=True)
     effects = []
