@@ -20,7 +20,13 @@ import numpy as np
 import scipy.stats
 
 from greybox.automatic.facts import WANDER, Facts
-from greybox.automatic.filters import described, is_felt, offered_filters, without_noise_of
+from greybox.automatic.filters import (
+    described,
+    filtering,
+    is_felt,
+    offered_filters,
+    without_noise_of,
+)
 from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import LATE_POSE, Step, names_of, nested_sets, per_flight_parameters
 from greybox.data import Dataset, Flight
@@ -477,8 +483,8 @@ class _Decider:
             clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
-            own = tuple(p.name for p in offered)
-            again = self._try(steps, options.but(noise_parts=own), first, parts)
+            own = filtering(options, offered, first.fit.model.physics)
+            again = self._try(steps, own, first, parts)
             if again is None:
                 reason = "no fit with one"
                 break
@@ -496,7 +502,7 @@ class _Decider:
                     "look like more lag of the motors",
                     "--noise-parts",
                 )
-                return options.but(noise_parts=own), again
+                return own, again
             reason = f"BIC falls by {gain:.0f}, the score ahead by {better:.3f} +- {error:.3f}"
             break
         self._note("filter of the IMU", "none", reason, "--noise-parts")
@@ -575,7 +581,11 @@ def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> Fit
     levels = noise_of(noise.model)
     for part in set(start.settings["noise_parts"]) - set(options.noise_parts):
         values, levels = without_noise_of(part, values), without_noise_of(part, levels)
-    return options.but(values={**values, **options.values}, noise=levels, initialisation="nominal")
+    held = {n: v for n, v in options.noise.items() if n in options.held_noise}
+    levels = {n: v for n, v in levels.items() if not n.startswith(tuple(f"{h}." for h in held))}
+    return options.but(
+        values={**values, **options.values}, noise={**levels, **held}, initialisation="nominal"
+    )
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:

@@ -8,7 +8,7 @@ was said.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from greybox.automatic.decide import Given
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from greybox.estimation.solver import Progress, Solver
     from greybox.model.effect import Effect
     from greybox.model.vehicle import Vehicle
+
+
+HELD: dict[str, bool | Literal["process"]] = {"none": True, "sensor": "process", "all": False}
+"""Words of --hold-noise and the `estimate_noise` that they stand for."""
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -127,8 +131,8 @@ def model_options(p: Any) -> None:
         nargs="?",
         const="all",
         default=None,
-        choices=("none", "sensor", "all"),
-        help="hold the sensors' or all noise levels at their start",
+        metavar="none|sensor|all|NAME,...",
+        help="hold all noise levels at their start, the sensors' (sensor), or some by name",
     )
     p.add_argument(
         "--kinematic-noise",
@@ -195,7 +199,9 @@ def given(arguments: argparse.Namespace) -> Given:
 
 def _choices(arguments: argparse.Namespace) -> Any:
     """The fields of `FitOptions` that were said."""
-    held = arguments.hold_noise
+    held = () if arguments.hold_noise is None else names(arguments.hold_noise)
+    groups = [word for word in held if word in HELD]
+    levels = [n if n.startswith("noise.") else f"noise.{n}" for n in held if n not in HELD]
     solver = arguments.solver
     if solver is not None or arguments.max_iterations is not None:
         solver = _solver(solver or "levenberg-marquardt", arguments.max_iterations)
@@ -213,11 +219,8 @@ def _choices(arguments: argparse.Namespace) -> Any:
         "shared": arguments.shared,
         "values": arguments.value,
         "noise": arguments.noise,
-        "estimate_noise": None
-        if held is None
-        else "process"
-        if held == "sensor"
-        else held == "none",
+        "estimate_noise": HELD[groups[-1]] if groups else None,
+        "held_noise": levels or None,
     }
     return {name: value for name, value in said.items() if value is not None}
 
