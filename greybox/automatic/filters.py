@@ -22,6 +22,9 @@ FILTERED = ("gyro", "accelerometer")
 """Sensors that come with a filter before the log: those of the IMU."""
 QUIET = 1e-3
 """Noise in front of a filter, as a share of what its sensor has."""
+LONGEST = 0.02
+"""Time constant [s] from which it is no filter of an IMU (8 Hz) but something else that the model
+has not."""
 FELT = 3.0
 """Standard errors from which a time constant counts as felt."""
 
@@ -39,10 +42,10 @@ def offered_filters(fitted: Fit) -> tuple[LowPass, ...]:
 
 
 def is_felt(part: LowPass, fitted: Fit) -> bool:
-    """Whether its time constant is clear of its lower bound."""
+    """Whether its time constant is clear of its lower bound, and that of a filter of an IMU."""
     found = fitted.parameters[f"{part.name}.T"]
     lower = next(d.lower for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
-    return not found.at_bound and found.value - lower > FELT * found.std
+    return not found.at_bound and lower + FELT * found.std < found.value < LONGEST
 
 
 def described(part: LowPass, fitted: Fit) -> str:

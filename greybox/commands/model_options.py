@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from greybox.automatic.decide import Given
     from greybox.data import Dataset
     from greybox.estimation.options import FitOptions
+    from greybox.estimation.recipe import Recipe
     from greybox.estimation.result import Fit
     from greybox.estimation.solver import Progress, Solver
     from greybox.model.effect import Effect
@@ -173,6 +174,18 @@ def fit_with(
         kinematic_noise=bool(arguments.kinematic_noise),
     )
     return fit(model, train, fit_options(arguments), progress=progress)
+
+
+def explicit_recipe(arguments: argparse.Namespace) -> Recipe:
+    """The explicit fit as a recipe; the logs have their rate already."""
+    from greybox.estimation.recipe import Recipe
+
+    return Recipe(
+        effects=(*(arguments.effects or ()), *_own_effects(arguments)),
+        input=arguments.input,
+        kinematic_noise=bool(arguments.kinematic_noise),
+        options=fit_options(arguments),
+    )
 
 
 def fit_options(arguments: argparse.Namespace) -> FitOptions:
