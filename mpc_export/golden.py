@@ -73,7 +73,7 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
     """One value for every argument that a function may take; `spread` 1 is typical flight."""
     n = functions.sizes
     scale, command, _ = functions.scales
-    boxplus = functions.functions["boxplus"]
+    boxplus = functions.functions["boxplus"] if n["n_x"] else lambda x, d: x
     move = rng.standard_normal(n["n_d"])
     # Raw and error states differ in the attitude alone, whose typical error is a third of a radian.
     typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
