@@ -150,7 +150,9 @@ def write_bundle(
     points: int | None = None,
     use_cache: bool = True,
 ) -> ExportBundle:
-    """Export anything fitted to `folder` (mpc_export/predictors.py says of what kinds); the arguments are those of `model_functions` and of the command line.
+    """Export anything fitted to `folder` (mpc_export/predictors.py says of what kinds).
+
+    The arguments are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on that many support
     points first. Raises `ModelError` (a name that is no C identifier, see `model_functions`), `UnknownNameError` (a
@@ -167,8 +169,7 @@ def write_bundle(
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
     if not isinstance(model, (IdentifiedModel, LinearModel)):
         model, dt = predictor_model(model, dt=dt, name=name), None
-    known = isinstance(model, (IdentifiedModel, LinearModel))
-    key = _cache_key(model, options) if use_cache and known else None
+    key = None if not use_cache or isinstance(model, PredictorModel) else _cache_key(model, options)
     if key is not None and (found := _from_cache(key, place)) is not None:
         again = model if points is None else with_points(model, points)[0]
         return replace(found, source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime))

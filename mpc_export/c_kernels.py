@@ -138,7 +138,8 @@ def gp_kernels(
 ) -> tuple[GPKernel, ...]:
     """Kernels for the functions of (z, p) of a hybrid model: name -> quantities in the order of its results.
 
-    With `silent` outputs that are off have no variance there. `weights_at` is the place in p where weights that are set at run time start.
+    With `silent` outputs that are off have no variance there. `weights_at` is the place in p where
+    weights that are set at run time start.
     """
     weights = None if weights_at is None else (1, weights_at)
     return tuple(

@@ -21,7 +21,7 @@
 | P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
-| output_covariance, output_consider | x u p S [c] -> Y, covariance of the next measurement (models in innovation form); with "covariance" |
+| output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
@@ -127,7 +127,9 @@ def model_functions(
     with_: Iterable[str] = (),
     runtime_parameters: Iterable[str] = (),
 ) -> ModelFunctions:
-    """The functions of anything fitted (mpc_export/predictors.py says of what kinds) at sample time `dt` [s] (None: the one that it was identified at).
+    """The functions of anything fitted (mpc_export/predictors.py says of what kinds).
+
+    `dt` [s] is the sample time (None: the one that it was identified at).
 
     `with_` adds groups of `GROUPS`. `runtime_parameters` are model parameters that stay in p, by name, and "gp.weights".
     Raises `UnknownNameError`, and `ModelError` for a discrete model at another sample time, a learned part inside
@@ -186,10 +188,13 @@ class _Builder:
         values = (
             dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in dynamics.parameters}
         )
-        kind = SampledForm if isinstance(model, PredictorModel) else Sampled
-        self.sampled: Sampled = kind(
-            dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
-            sensitive=self.theta_names,
+        self.sampled = (
+            SampledForm(dynamics=model.form, dt=self.dt, values={}, runtime=runtime)
+            if isinstance(model, PredictorModel)
+            else Sampled(
+                dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
+                sensitive=self.theta_names,
+            )
         )  # fmt: skip
         self.x, self.u, self.p, self.w = self.sampled.symbols()
         self.chart_in, _ = self.sampled.chart(self.x, self.x)
@@ -493,13 +498,13 @@ class _Builder:
         self.functions["consider_step"] = ca.Function(
             "consider_step", arguments, [ca.densify(v) for v in results], labels, names
         )
-        if isinstance(self.model, PredictorModel) or isinstance(self.model, LinearModel):
+        if isinstance(self.model, (PredictorModel, LinearModel)):
             self._output_covariance()
 
     def _output_covariance(self) -> None:
-        """Of the outputs' next measurement, S and c being those of the state: C S C' + D_g Var D_g' + cov(e), and with the
-        learned error as the same over the horizon (C c + D_g sigma)(...)' in place of the middle term. With S = 0 (and c = 0)
-        it is the one-step variance."""
+        """Of the next measurement, S and c being those of the state: C S C' + D_g Var D_g' + cov(e),
+        and with the learned error as the same over the horizon (C c + D_g sigma)(...)' in place of
+        the middle term. With S = 0 (and c = 0) it is the one-step variance."""
         nd = len(self.sampled.error_states)
         x, u, p = self._arguments()
         sigma = ca.MX.sym("S", nd, nd)
@@ -512,7 +517,8 @@ class _Builder:
             )
             return
         variance = ca.fmax(self.functions["gp_variance"](self._features("raw")(x, u, p)[0], p), 0.0)
-        through = ca.Function("noise_output", [self.x, self.u, self.p, self.w], [ca.densify(self.noise_output @ self.spread)])
+        slope = ca.densify(self.noise_output @ self.spread)
+        through = ca.Function("noise_output", [self.x, self.u, self.p, self.w], [slope])
         d = through(x, u, self._own_p(p), ca.DM.zeros(self.w.numel()))
         wide = ca.repmat(variance.T, d.shape[0], 1)
         fresh = plain + (d * wide) @ d.T

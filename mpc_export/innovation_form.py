@@ -1,16 +1,18 @@
-"""InnovationForm: any predictor as a state-space model from sample to sample, so that one builder exports it.
+"""InnovationForm: any predictor as a state-space model from sample to sample, so that one builder
+exports it.
 
     x+ = F(x, u) [+] K (g(z) + e),    y = H(x, u) + E (g(z) + e),    z = z(x, u),    cov(e) = S
 
-e is the innovation, g the learned part: what it foretells of the innovation moves the state as a measured one would. x holds
-what the predictor remembers: the state of a linear or physical model, past outputs and commands (the lags of its regressors),
-its last errors. It is a `Dynamics` whose process noise is e; measured signals that it does not foretell are `exogenous`
-inputs, run-time parameters of an export.
+e is the innovation, g the learned part: what it foretells of the innovation moves the state as a
+measured one would. x holds what the predictor remembers: the state of a linear or physical model,
+past outputs and commands (the lags of its regressors), its last errors. It is a `Dynamics` whose
+process noise is e; measured signals that it does not foretell are `exogenous` inputs, run-time
+parameters of an export.
 
 | form | F, H | g |
 |---|---|---|
-| `BaseForm` | a linear model, or a physical one with its stationary filter | GP on its output residual, or none |
-| `LagForm` | a shift register; H is the last output where increments are learned | GP (NARX) or LSTM |
+| `BaseForm` | a linear model, or a physical one with its stationary filter | GP or none |
+| `LagForm` | a shift register; H: the last output for increments | GP (NARX) or LSTM |
 | `StaticForm` | no state | a GP alone, of its inputs |
 """
 
@@ -29,7 +31,7 @@ from greybox.errors import ModelError
 from greybox.model.linear import LinearModel
 from greybox.model.parameter import Parameter
 from greybox.residual import features as model_features
-from greybox.residual.base_predictor import LATE, LAST_ERROR, BasePredictor
+from greybox.residual.base_predictor import LAST_ERROR, LATE, BasePredictor
 from greybox.residual.regressors import Lags
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 from mpc_export.sampled import Sampled
@@ -38,7 +40,8 @@ OFFSET = "offset."
 
 
 class InnovationForm(ABC):
-    """Base of the forms; satisfies `Dynamics`. A form has the abstract members and keeps the rest."""
+    """Base of the forms; satisfies `Dynamics`. A form has the abstract members and keeps the
+    rest."""
 
     parameters: tuple[Parameter, ...] = ()
     window = (0, 0)
@@ -167,31 +170,39 @@ class StaticForm(InnovationForm):
 
     @property
     def name(self) -> str:
+        """A short name for reports."""
         return self.label
 
     @property
     def states(self) -> Layout:
+        """x, in order."""
         return Layout([])
 
     @property
     def inputs(self) -> Layout:
+        """Columns that drive it, exogenous ones last."""
         return self.arguments
 
     @property
     def outputs(self) -> Layout:
+        """y, in order."""
         return self.results
 
     @property
     def gain(self) -> FloatArray:
+        """K (n_d, n_e)."""
         return np.zeros((0, len(self.outputs)))
 
     def following(self, x: Expr, u: Expr) -> Expr:
+        """F."""
         return ca.SX(0, 1)
 
     def foretold(self, x: Expr, u: Expr) -> Expr:
+        """H."""
         return ca.SX.zeros(len(self.outputs))
 
     def features(self, names: Sequence[str], x: Expr, u: Expr) -> Expr:
+        """z, by name."""
         return ca.vertcat(*(u[self.inputs[n]] for n in names))
 
 
@@ -205,6 +216,7 @@ class LagForm(InnovationForm):
 
     @property
     def name(self) -> str:
+        """A short name for reports."""
         return self.label
 
     @cached_property
@@ -213,14 +225,18 @@ class LagForm(InnovationForm):
         deepest = self.lags.n_b + self.lags.newest - 1
         named = [(n, i) for i in range(1, self.lags.n_a + 1) for n in self.lags.outputs]
         named += [(n, i) for i in range(1, deepest + 1) for n in self.lags.inputs]
-        return Layout([Signal(name=f"{n}[t-{i}]", unit=_unit(n), meaning=_ago(n, i)) for n, i in named])
+        return Layout(
+            [Signal(name=f"{n}[t-{i}]", unit=_unit(n), meaning=_ago(n, i)) for n, i in named]
+        )
 
     @cached_property
     def inputs(self) -> Layout:
+        """Columns that drive it, exogenous ones last."""
         return Layout([Signal(name=n, unit=_unit(n)) for n in self.lags.inputs])
 
     @cached_property
     def outputs(self) -> Layout:
+        """y, in order."""
         return self.lags.output_layout
 
     @cached_property
@@ -229,6 +245,7 @@ class LagForm(InnovationForm):
         return np.eye(len(self.states), len(self.outputs))
 
     def following(self, x: Expr, u: Expr) -> Expr:
+        """F."""
         n_y, n_u = len(self.outputs), len(self.inputs)
         ends = self.lags.n_a * n_y
         kept = x[: ends - n_y]
@@ -237,10 +254,12 @@ class LagForm(InnovationForm):
         return ca.vertcat(self.foretold(x, u), kept, pushed)
 
     def foretold(self, x: Expr, u: Expr) -> Expr:
+        """H."""
         n_y = len(self.outputs)
         return x[:n_y] if self.increments else ca.SX.zeros(n_y)
 
     def features(self, names: Sequence[str], x: Expr, u: Expr) -> Expr:
+        """z, by name."""
         table = {n: x[i] for i, n in enumerate(self.states.names)}
         table |= {f"{n}[t]": u[i] for i, n in enumerate(self.inputs.names)}
         return ca.vertcat(*(table[n] for n in names))
@@ -248,13 +267,15 @@ class LagForm(InnovationForm):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseForm(InnovationForm):
-    """An identified model and what a GP on its output residual, if any, remembers and is given (`looked_at`)."""
+    """An identified model and what a GP on its output residual, if any, remembers and is given
+    (`looked_at`)."""
 
     base: BasePredictor
     looked_at: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
+        """A short name for reports."""
         return str(self.base.model.name)
 
     @cached_property
@@ -262,22 +283,32 @@ class BaseForm(InnovationForm):
         """The base model with its delayed commands as states."""
         model = self.base.model
         values = (
-            {d.name: d.nominal for d in model.parameters} if isinstance(model, LinearModel) else dict(model.values)
+            {d.name: d.nominal for d in model.parameters}
+            if isinstance(model, LinearModel)
+            else dict(model.values)
         )
         return Sampled(dynamics=self.base.dynamics, dt=self.base.dt, values=values)
 
-    # ------------------------------------------------------------------------------------------------ what is where
+    # -------------------- what is where
 
     @cached_property
     def given(self) -> tuple[str, ...]:
         """Features that are columns of the log which do not drive the model."""
-        late = [(n, m) for n in self.looked_at if not LAST_ERROR.fullmatch(n) and (m := LATE.fullmatch(n))]
+        late = [
+            (n, m)
+            for n in self.looked_at
+            if not LAST_ERROR.fullmatch(n) and (m := LATE.fullmatch(n))
+        ]
         return tuple(n for n, m in late if m["name"] not in self._columns)
 
     @cached_property
     def _columns(self) -> tuple[str, ...]:
         """Commands as columns of the log."""
-        own = self.base.commands if isinstance(self.base.model, LinearModel) else self.sampled.inputs.names
+        own = (
+            self.base.commands
+            if isinstance(self.base.model, LinearModel)
+            else self.sampled.inputs.names
+        )
         return tuple(own)
 
     @cached_property
@@ -292,9 +323,19 @@ class BaseForm(InnovationForm):
         deepest: dict[str, int] = {}
         for n in self.looked_at:
             late = LATE.fullmatch(n)
-            if late and not LAST_ERROR.fullmatch(n) and late["name"] in self._columns and late["lag"]:
+            if (
+                late
+                and not LAST_ERROR.fullmatch(n)
+                and late["name"] in self._columns
+                and late["lag"]
+            ):
                 deepest[late["name"]] = max(deepest.get(late["name"], 0), int(late["lag"]))
-        return tuple((c, i) for i in range(1, max(deepest.values(), default=0) + 1) for c in deepest if deepest[c] >= i)
+        return tuple(
+            (c, i)
+            for i in range(1, max(deepest.values(), default=0) + 1)
+            for c in deepest
+            if deepest[c] >= i
+        )
 
     @cached_property
     def _errors(self) -> tuple[str, ...]:
@@ -303,54 +344,70 @@ class BaseForm(InnovationForm):
 
     def _extra(self, prefix: str) -> list[Signal]:
         units = {s.name: s.unit for s in self.base.dynamics.outputs}
-        past = [Signal(name=f"{prefix}{c}[t-{i}]", unit=_unit(c), meaning=_ago(c, i)) for c, i in self._lagged]
+        past = [
+            Signal(name=f"{prefix}{c}[t-{i}]", unit=_unit(c), meaning=_ago(c, i))
+            for c, i in self._lagged
+        ]
         last = [
-            Signal(name=f"{prefix}error.{n}[t-1]", unit=units[n], meaning=f"last one-step error of {n}")
+            Signal(
+                name=f"{prefix}error.{n}[t-1]", unit=units[n], meaning=f"last one-step error of {n}"
+            )
             for n in self._errors
         ]
         return past + last
 
     @cached_property
     def states(self) -> Layout:
-        """The model's own with its command history, then lags of commands and last errors for the features."""
+        """The model's own with its command history, then lags of commands and last errors for the
+        features."""
         return self.sampled.states + Layout(self._extra(""))
 
     @cached_property
     def error_states(self) -> Layout:
+        """Of the chart of the model, then the memory."""
         return self.sampled.error_states + Layout(self._extra("d_"))
 
     @cached_property
     def exogenous(self) -> tuple[str, ...]:
+        """Inputs of the model that nobody commands, measured features, offsets."""
         return (*self.sampled.parameters.names, *self.given, *self._offsets)
 
     @cached_property
     def inputs(self) -> Layout:
-        """Command columns, then what is given: exogenous inputs of the model, measured features, offsets."""
+        """Command columns, then what is given: exogenous inputs of the model, measured features,
+        offsets."""
         units = {s.name: s.unit for s in self.base.feature_layout(self.given)}
         units |= {s.name: s.unit for s in self.base.dynamics.outputs}
         units |= {s.name: s.unit for s in (*self.sampled.inputs, *self.sampled.parameters)}
         names = (*self._columns, *self.exogenous)
-        return Layout([Signal(name=n, unit=units.get(n.removeprefix(OFFSET), _unit(n))) for n in names])
+        return Layout(
+            [Signal(name=n, unit=units.get(n.removeprefix(OFFSET), _unit(n))) for n in names]
+        )
 
     @property
     def outputs(self) -> Layout:
+        """y, in order."""
         return self.base.dynamics.outputs
 
     @cached_property
     def innovations(self) -> Layout:
         """Those of the model; of plain outputs under the output's name."""
         own = self.base.dynamics
-        return Layout([
-            Signal(name=c[0] if len(c) == 1 else s.name, unit=s.unit, meaning=s.meaning)
-            for s, c in zip(own.innovations, own.innovation_columns)
-        ])  # fmt: skip
+        return Layout(
+            [
+                Signal(name=c[0] if len(c) == 1 else s.name, unit=s.unit, meaning=s.meaning)
+                for s, c in zip(own.innovations, own.innovation_columns)
+            ]
+        )
 
     @property
     def innovation_columns(self) -> tuple[tuple[str, ...], ...]:
+        """Those of the model."""
         return tuple(self.base.dynamics.innovation_columns)
 
     @cached_property
     def gain(self) -> FloatArray:
+        """K (n_d, n_e)."""
         own = self.base.gain[0]
         between = np.zeros((len(self.sampled.history) + len(self._lagged), own.shape[1]))
         last = np.eye(own.shape[1])[self.base.rows] if self._errors else np.zeros((0, own.shape[1]))
@@ -358,13 +415,14 @@ class BaseForm(InnovationForm):
 
     @cached_property
     def seen(self) -> FloatArray:
+        """E: an innovation reaches the plain output of its name."""
         matrix = np.zeros((len(self.outputs), len(self.innovations)))
         for e, columns in enumerate(self.innovation_columns):
             if len(columns) == 1:
                 matrix[self.outputs[columns[0]], e] = 1.0
         return matrix
 
-    # ------------------------------------------------------------------------------------------------ the maps
+    # -------------------- the maps
 
     def _command(self, u: Expr) -> Expr:
         """The model's own commands: sums of columns for a linear model."""
@@ -380,12 +438,17 @@ class BaseForm(InnovationForm):
     def _split(self, x: Expr, u: Expr) -> tuple[Expr, Expr, Expr]:
         """(state, command, exogenous inputs) of the base."""
         first = len(self._columns)
-        return x[: len(self.sampled.states)], self._command(u), u[first : first + len(self.sampled.parameters)]
+        return (
+            x[: len(self.sampled.states)],
+            self._command(u),
+            u[first : first + len(self.sampled.parameters)],
+        )
 
     def _quiet(self) -> Expr:
         return ca.SX.zeros(len(self.base.dynamics.noises))
 
     def following(self, x: Expr, u: Expr) -> Expr:
+        """F."""
         own, command, p = self._split(x, u)
         after = self.sampled.step(own, command, p, self._quiet())
         at = {pair: own.numel() + k for k, pair in enumerate(self._lagged)}
@@ -393,6 +456,7 @@ class BaseForm(InnovationForm):
         return ca.vertcat(after, *past, ca.SX.zeros(len(self._errors)))
 
     def foretold(self, x: Expr, u: Expr) -> Expr:
+        """H."""
         own, command, p = self._split(x, u)
         y = ca.SX(self.sampled.output(own, command, p, self._quiet()))
         for n in self._offsets:
@@ -400,6 +464,7 @@ class BaseForm(InnovationForm):
         return y
 
     def features(self, names: Sequence[str], x: Expr, u: Expr) -> Expr:
+        """z, by name."""
         own, command, p = self._split(x, u)
         y = self.foretold(x, u)
         table = {n: x[i] for i, n in enumerate(self.states.names)}
@@ -415,13 +480,16 @@ class BaseForm(InnovationForm):
         return ca.vertcat(*(table[n] for n in names))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
+        """As the model forms it."""
         return self.sampled.innovation(y, y_hat, x[: len(self.sampled.states)])
 
     def boxplus(self, x: Expr, d: Expr) -> Expr:
+        """On the chart of the model, by addition elsewhere."""
         n, m = len(self.sampled.states), len(self.sampled.error_states)
         return ca.vertcat(self.sampled.boxplus(x[:n], d[:m]), x[n:] + d[m:])
 
     def boxminus(self, x2: Expr, x1: Expr) -> Expr:
+        """Inverse of `boxplus`."""
         n = len(self.sampled.states)
         return ca.vertcat(self.sampled.boxminus(x2[:n], x1[:n]), x2[n:] - x1[n:])
 
@@ -429,19 +497,21 @@ class BaseForm(InnovationForm):
         """Raises `ModelError` for what has no form: commands that run linearly between samples."""
         if self.base.dynamics.window[1]:
             raise ModelError(
-                f"{self.name}: commands that run linearly between samples", expected="commands that are held",
+                f"{self.name}: commands that run linearly between samples",
+                expected="commands that are held",
                 fix='fit with hold = "zero" in the vehicle file',
-            )  # fmt: skip
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledForm(Sampled):
-    """An innovation form as a controller sees it: it says itself what is exogenous and what its features are."""
+    """An innovation form as a controller sees it: it says itself what is exogenous and what its
+    features are."""
 
     dynamics: InnovationForm
 
     @property
-    def exogenous(self) -> tuple[str, ...]:  # type: ignore[override]
+    def exogenous(self) -> tuple[str, ...]:
         """Input columns that are run-time parameters here."""
         return self.dynamics.exogenous
 

@@ -1,7 +1,8 @@
-"""PredictorModel: what `write_bundle` takes besides identified models: everything else that greybox fits.
+"""PredictorModel: what `write_bundle` takes besides identified models: everything else that
+greybox fits.
 
-`predictor_model` turns an output hybrid, decoupled linear models, a NARX or LSTM model, or a GP alone into one; `read_model`
-reads any file of a fitted thing.
+`predictor_model` turns an output hybrid, decoupled linear models, a NARX or LSTM model, or a GP
+alone into one; `read_model` reads any file of a fitted thing.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import numpy as np
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import read_json
 from greybox.model.effect import Effect
-from greybox.model.identified import IdentifiedModel
 from greybox.model.identified import SCHEMA as MODEL
+from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
 from greybox.model.linear import LinearModel
 from greybox.residual import gaussian_process, lstm, narx, posterior
@@ -33,7 +34,15 @@ from greybox.residual.posterior import QUANTITIES, Domain, GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout
 from mpc_export.innovation_form import BaseForm, InnovationForm, LagForm, StaticForm
 
-Fitted = IdentifiedModel | LinearModel | OutputHybrid | NARXModel | LSTMModel | GPPosterior | GaussianProcess
+Fitted = (
+    IdentifiedModel
+    | LinearModel
+    | OutputHybrid
+    | NARXModel
+    | LSTMModel
+    | GPPosterior
+    | GaussianProcess
+)
 MANY_LINEAR = LINEAR_SCHEMAS[1]
 
 
@@ -77,14 +86,20 @@ class Learned(Protocol):
         """Their spread."""
 
     def expressions(
-        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+        self,
+        z: Expr,
+        which: Iterable[str],
+        *,
+        noise: bool | str = False,
+        weights: Expr | None = None,
     ) -> dict[str, Expr]:
         """Quantities of one z by name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NetworkPart:
-    """An LSTM as a learned part: it has a mean; its variance (from validation data) is that of the innovation."""
+    """An LSTM as a learned part: it has a mean; its variance (from validation data) is that of the
+    innovation."""
 
     model: LSTMModel
 
@@ -128,18 +143,26 @@ class NetworkPart:
         return self.model.input_scale
 
     def expressions(
-        self, z: Expr, which: Iterable[str], *, noise: bool | str = False, weights: Expr | None = None
+        self,
+        z: Expr,
+        which: Iterable[str],
+        *,
+        noise: bool | str = False,
+        weights: Expr | None = None,
     ) -> dict[str, Expr]:
-        """Mean and its Jacobian; variance, its Jacobian and distance are zero. Raises `UnknownNameError`."""
+        """Mean and its Jacobian; variance, its Jacobian and distance are zero. Raises
+        `UnknownNameError`."""
         wanted, n, m = set(which), len(self.outputs), len(self.inputs)
         for name in wanted - set(QUANTITIES):
             raise UnknownNameError("quantity", name, QUANTITIES)
         if weights is not None:
             raise ModelError("the weights of a network cannot change at run time")
         out = {
-            "variance": ca.DM.zeros(n), "variance_jacobian": ca.DM.zeros(n, m), "distance": ca.DM(0.0),
+            "variance": ca.DM.zeros(n),
+            "variance_jacobian": ca.DM.zeros(n, m),
+            "distance": ca.DM(0.0),
             "mean": self.model.function()(z),
-        }  # fmt: skip
+        }
         if "mean_jacobian" in wanted:
             out["mean_jacobian"] = ca.jacobian(out["mean"], z)
         return {k: v for k, v in out.items() if k in wanted}
@@ -147,11 +170,12 @@ class NetworkPart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PredictorModel:
-    """A predictor in innovation form: `form`, its learned part, cov(e) = `noise` (n_e, n_e), sample time `dt` [s].
+    """A predictor in innovation form: `form`, its learned part, cov(e) = `noise` (n_e, n_e),
+    sample time `dt` [s].
 
-    `kind` is the manifest's word for it, `domain` the training range of signals by name, `reference` = (x, u) a typical
-    point (u with exogenous inputs, in the form's order), `horizon_variance` (h_max, n_y) measured variances of a free run
-    where the predictor has them.
+    `kind` is the manifest's word for it, `domain` the training range of signals by name,
+    `reference` = (x, u) a typical point (u with exogenous inputs, in the form's order),
+    `horizon_variance` (h_max, n_y) measured variances of a free run where the predictor has them.
     """
 
     name: str
@@ -166,8 +190,11 @@ class PredictorModel:
     horizon_variance: FloatArray | None = None
 
 
-def predictor_model(fitted: Any, *, dt: float | None = None, name: str | None = None) -> PredictorModel:
-    """What is fitted as a `PredictorModel`; `dt` [s] is needed where the model does not know its own sample time.
+def predictor_model(
+    fitted: Any, *, dt: float | None = None, name: str | None = None
+) -> PredictorModel:
+    """What is fitted as a `PredictorModel`; `dt` [s] is needed where the model does not know its
+    own sample time.
 
     Raises `ModelError` for a thing of another kind, another `dt` than its own, or none.
     """
@@ -183,14 +210,16 @@ def predictor_model(fitted: Any, *, dt: float | None = None, name: str | None = 
         return _alone(fitted, dt, name)
     raise ModelError(
         f"cannot export a {type(fitted).__name__}",
-        expected="a model of fit, learn or linear, an output hybrid, NARX, LSTM, or a Gaussian process",
+        expected="a model of fit, learn or linear, an output hybrid, NARX, LSTM or GP",
         fix="fit it, or load a model file",
     )
 
 
 def _time(own: float | None, dt: float | None, what: str) -> float:
     if own is None and dt is None:
-        raise ModelError(f"{what} does not know its sample time", fix="give it: --dt 0.01 (in Python dt=0.01)")
+        raise ModelError(
+            f"{what} does not know its sample time", fix="give it: --dt 0.01 (in Python dt=0.01)"
+        )
     if own is not None and dt is not None and abs(own - dt) > 1e-9 * own:
         raise ModelError(f"{what} is a discrete model", expected=f"dt = {own:g} s", got=f"{dt:g} s")
     return float(own if own is not None else dt or 0.0)
@@ -199,7 +228,9 @@ def _time(own: float | None, dt: float | None, what: str) -> float:
 def _ranges(learned: Learned) -> dict[str, tuple[float, float]]:
     """Training ranges of the features and, from their lags, of the columns themselves."""
     out: dict[str, tuple[float, float]] = {}
-    for n, low, high in zip(learned.inputs.names, learned.domain.lower.tolist(), learned.domain.upper.tolist()):
+    for n, low, high in zip(
+        learned.inputs.names, learned.domain.lower.tolist(), learned.domain.upper.tolist()
+    ):
         out[n] = (low, high)
         column, _, late = n.partition("[")
         if late and column not in out:
@@ -207,7 +238,9 @@ def _ranges(learned: Learned) -> dict[str, tuple[float, float]]:
     return out
 
 
-def _reference(form: InnovationForm, typical: Mapping[str, float], x: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+def _reference(
+    form: InnovationForm, typical: Mapping[str, float], x: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     state = form.reference(typical) if x is None else x
     inputs = [typical.get(n, typical.get(f"{n}[t-1]", 0.0)) for n in form.inputs.names]
     return state, np.array(inputs)
@@ -223,9 +256,12 @@ def _base_state(form: BaseForm, typical: Mapping[str, float]) -> tuple[FloatArra
     _, inputs = _reference(form, typical)
     if isinstance(model, LinearModel):
         own = np.zeros(model.order)
-        command = np.array([
-            sum(w * inputs[form.inputs[c]] for w, c in form.base.channels.get(n, ((1.0, n),))) for n in model.inputs.names
-        ])  # fmt: skip
+        command = np.array(
+            [
+                sum(w * inputs[form.inputs[c]] for w, c in form.base.channels.get(n, ((1.0, n),)))
+                for n in model.inputs.names
+            ]
+        )
         past = [command[i] for i, _ in form.sampled.history]
         state = np.concatenate([own, past])
     else:
@@ -243,10 +279,15 @@ def _base(base: BasePredictor, dt: float | None) -> PredictorModel:
     form.check()
     domain = dict(base.model.domain) if isinstance(base.model, IdentifiedModel) else {}
     return PredictorModel(
-        name=str(base.model.name), kind="linear" if isinstance(base.model, LinearModel) else "physics", form=form,
-        learned=None, noise=base.gain[1], dt=_time(base.dt, dt, str(base.model.name)), domain=domain,
+        name=str(base.model.name),
+        kind="linear" if isinstance(base.model, LinearModel) else "physics",
+        form=form,
+        learned=None,
+        noise=base.gain[1],
+        dt=_time(base.dt, dt, str(base.model.name)),
+        domain=domain,
         reference=_base_state(form, {}),
-    )  # fmt: skip
+    )
 
 
 def _hybrid(hybrid: OutputHybrid, dt: float | None) -> PredictorModel:
@@ -259,11 +300,16 @@ def _hybrid(hybrid: OutputHybrid, dt: float | None) -> PredictorModel:
     scale[base.rows] = np.sqrt(learned.noise / np.diag(covariance)[base.rows])
     domain = dict(base.model.domain) if isinstance(base.model, IdentifiedModel) else {}
     return PredictorModel(
-        name=hybrid.name, kind="output-hybrid", form=form, learned=learned, noise=covariance * scale * scale[:, None],
-        dt=_time(base.dt, dt, hybrid.name), domain=domain | _ranges(learned),
+        name=hybrid.name,
+        kind="output-hybrid",
+        form=form,
+        learned=learned,
+        noise=covariance * scale * scale[:, None],
+        dt=_time(base.dt, dt, hybrid.name),
+        domain=domain | _ranges(learned),
         reference=_base_state(form, _typical(learned)),
         trained_on=tuple(getattr(base.model, "trained_on", ())),
-    )  # fmt: skip
+    )
 
 
 def _lagged(model: NARXModel | LSTMModel, dt: float | None) -> PredictorModel:
@@ -274,27 +320,40 @@ def _lagged(model: NARXModel | LSTMModel, dt: float | None) -> PredictorModel:
     # The network's own function adds the last output where it learned increments.
     form = LagForm(label=kind, lags=model.lags, increments=model.increments and not network)
     return PredictorModel(
-        name=kind, kind=kind, form=form, learned=learned, noise=np.diag(learned.noise),
-        dt=_time(model.dt, dt, f"a {kind.upper()} model"), domain=_ranges(learned),
+        name=kind,
+        kind=kind,
+        form=form,
+        learned=learned,
+        noise=np.diag(learned.noise),
+        dt=_time(model.dt, dt, f"a {kind.upper()} model"),
+        domain=_ranges(learned),
         reference=_reference(form, _typical(learned)),
         horizon_variance=model.variance if isinstance(model, LSTMModel) else None,
-    )  # fmt: skip
+    )
 
 
 def _alone(gp: GPPosterior | GaussianProcess, dt: float | None, name: str | None) -> PredictorModel:
-    """A Gaussian process of its inputs; it knows no time, and its sample time is 1 s unless given."""
+    """A Gaussian process of its inputs; it knows no time, and its sample time is 1 s unless
+    given."""
     form = StaticForm(label=name or "gp", arguments=gp.inputs, results=gp.outputs)
     return PredictorModel(
-        name=form.name, kind="gp", form=form, learned=gp, noise=np.diag(gp.noise), dt=1.0 if dt is None else float(dt),
-        domain=_ranges(gp), reference=_reference(form, _typical(gp)),
-    )  # fmt: skip
+        name=form.name,
+        kind="gp",
+        form=form,
+        learned=gp,
+        noise=np.diag(gp.noise),
+        dt=1.0 if dt is None else float(dt),
+        domain=_ranges(gp),
+        reference=_reference(form, _typical(gp)),
+    )
 
 
-# ------------------------------------------------------------------------------------------------ files
+# -------------------- files
 
 
 def read_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) -> Any:
-    """Any file of a fitted thing: what `write_bundle` takes. Raises `FileFormatError` for a file of another kind."""
+    """Any file of a fitted thing: what `write_bundle` takes. Raises `FileFormatError` for a file
+    of another kind."""
     data = read_json(path)
     schema = data.get("schema")
     if schema == LINEAR:
@@ -304,14 +363,23 @@ def read_model(path: str | os.PathLike[str], *, effects: Iterable[Effect] = ()) 
         model, channels = combined(models, {s.name: s.terms for s in inputs})
         return BasePredictor(model=model, outputs=model.outputs.names, channels=channels)
     if schema == MODEL:
-        return OutputHybrid.load(path, effects=effects) if data.get("kind") == KIND else load_model(path, effects=effects)
+        return (
+            OutputHybrid.load(path, effects=effects)
+            if data.get("kind") == KIND
+            else load_model(path, effects=effects)
+        )
     known = {
-        lstm.SCHEMA: LSTMModel.load, narx.SCHEMA: NARXModel.load, posterior.SCHEMA: GPPosterior.load,
+        lstm.SCHEMA: LSTMModel.load,
+        narx.SCHEMA: NARXModel.load,
+        posterior.SCHEMA: GPPosterior.load,
         gaussian_process.SCHEMA: GaussianProcess.load,
-    }  # fmt: skip
+    }
     if schema not in known:
         raise FileFormatError(
-            "not a fitted model", where=str(path), expected=", ".join((MODEL, *LINEAR_SCHEMAS, *known)), got=repr(schema),
-            fix="pass model.json, hybrid.json, linear.json, or the file that save() of a NARX, LSTM or GP wrote",
-        )  # fmt: skip
+            "not a fitted model",
+            where=str(path),
+            expected=", ".join((MODEL, *LINEAR_SCHEMAS, *known)),
+            got=repr(schema),
+            fix="pass model.json, hybrid.json, or what save() of a NARX, LSTM or GP wrote",
+        )
     return known[schema](path)

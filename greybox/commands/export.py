@@ -15,13 +15,14 @@ def add(commands: Any) -> None:
     p = commands.add_parser(
         "export",
         help="write a fitted model as C and CasADi for a controller",
-        description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, Gaussian process) as a folder that a controller can use without "
+        description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, Gaussian "
+        "process) as a folder that a controller can use without "
         "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing folder "
         "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is not usable, 2: bad "
         "input.",
     )
-    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or `linear`, or what "
-                   "save() of a NARX, LSTM or Gaussian process wrote")
+    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or "
+                   "`linear`, or what save() of a NARX, LSTM or Gaussian process wrote")
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
     p.add_argument(
         "--target", default="c,casadi", metavar="T,...", help=f"some of {', '.join(TARGETS)} (default %(default)s)"

@@ -37,8 +37,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
     p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
                    "(default: as in fit.json beside it)")  # fmt: skip
-    p.add_argument("--guard", action="store_true", help="of a linear model: raise the sparse GP's variance to that of the full "
-                   "one (docs/residual.md)")
+    p.add_argument("--guard", action="store_true", help="of a linear model: raise the sparse GP's "
+                   "variance to that of the full one (docs/residual.md)")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")

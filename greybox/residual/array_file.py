@@ -1,4 +1,5 @@
-"""Numbers on disk: one JSON file with a schema and a checksum, and the large arrays beside it (same stem, .npz).
+"""Numbers on disk: one JSON file with a schema and a checksum, and the large arrays beside it
+(same stem, .npz).
 
 Numbers only: nothing in either file is executed.
 """
@@ -20,14 +21,20 @@ from greybox.symbolic import FloatArray
 
 
 def write_with_arrays(
-    path: str | os.PathLike[str], schema: str, plain: Mapping[str, Any], arrays: Mapping[str, FloatArray]
+    path: str | os.PathLike[str],
+    schema: str,
+    plain: Mapping[str, Any],
+    arrays: Mapping[str, FloatArray],
 ) -> Path:
     """Write `plain` to `path` and `arrays` beside it, each atomically. Returns the path."""
     target = Path(path)
     beside = target.with_suffix(".npz")
     body = {
-        "schema": schema, **to_plain(dict(plain)), "arrays": beside.name, "arrays_sha256": _digest(arrays),
-    }  # fmt: skip
+        "schema": schema,
+        **to_plain(dict(plain)),
+        "arrays": beside.name,
+        "arrays_sha256": _digest(arrays),
+    }
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     write_atomic(beside, buffer.getvalue())
@@ -37,12 +44,15 @@ def write_with_arrays(
 def read_with_arrays(
     path: str | os.PathLike[str], schema: str
 ) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    """What `write_with_arrays` wrote. Raises `FileFormatError` (schema, checksum, missing or foreign arrays)."""
+    """What `write_with_arrays` wrote. Raises `FileFormatError` (schema, checksum, missing or
+    foreign arrays)."""
     where = str(path)
     body = read_json(path, schema=schema)
     if body.pop("checksum", None) != checksum(body):
         raise FileFormatError(
-            "the checksum does not match", where=where, fix="the file was edited or is damaged; write it again"
+            "the checksum does not match",
+            where=where,
+            fix="the file was edited or is damaged; write it again",
         )
     beside = Path(path).parent / Path(str(body.get("arrays"))).name
     try:
@@ -50,11 +60,15 @@ def read_with_arrays(
             arrays = {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise FileFormatError(
-            f"cannot read the arrays ({error})", where=str(beside), fix="keep the .npz beside its .json"
+            f"cannot read the arrays ({error})",
+            where=str(beside),
+            fix="keep the .npz beside its .json",
         ) from None
     if _digest(arrays) != body.get("arrays_sha256"):
         raise FileFormatError(
-            "these are not the arrays of that file", where=str(beside), fix="copy both files together"
+            "these are not the arrays of that file",
+            where=str(beside),
+            fix="copy both files together",
         )
     return body, arrays
 

@@ -1,16 +1,17 @@
-"""The posterior of a GPyTorch model as the plain numbers of `GaussianProcess`: one function per kind of model.
+"""The posterior of a GPyTorch model as the plain numbers of `GaussianProcess`: one function per
+kind of model.
 
-Everything is computed here in float64 from hyper-parameters, data and variational parameters; nothing of GPyTorch
-runs. Exact: Rasmussen and Williams (2006), algorithm 2.1, with the Kronecker structure of several outputs (Bonilla,
-Chai and Williams, NIPS 2007) written out. Inducing points: Titsias (AISTATS 2009) with GPyTorch's correction of the
-diagonal. Variational: Hensman, Fusi and Lawrence (UAI 2013), whitened or not. LMC: Alvarez, Rosasco and Lawrence,
-Foundations and Trends in Machine Learning 4(3) (2012).
-"""
+Everything is computed here in float64 from hyper-parameters, data and variational parameters;
+nothing of GPyTorch runs. Exact: Rasmussen and Williams (2006), algorithm 2.1, with the Kronecker
+structure of several outputs (Bonilla, Chai and Williams, NIPS 2007) written out. Inducing points:
+Titsias (AISTATS 2009) with GPyTorch's correction of the diagonal. Variational: Hensman, Fusi and
+Lawrence (UAI 2013), whitened or not. LMC: Alvarez, Rosasco and Lawrence, Foundations and Trends in
+Machine Learning 4(3) (2012)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, qr, solve_triangular
@@ -21,14 +22,14 @@ from greybox.residual.covariances.covariance import numbers
 from greybox.residual.gaussian_process import Base, Latent
 from greybox.symbolic import FloatArray
 
-
 JITTERS = (0.0, 1e-8, 1e-7, 1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
-    """Numbers of one model: its latent processes and how outputs mix them, noise (n_out,) and offset (n_out,) in
-    the model's own units, training inputs or inducing points (N, n_in), and what it is."""
+    """Numbers of one model: its latent processes and how outputs mix them, noise (n_out,) and
+    offset (n_out,) in the model's own units, training inputs or inducing points (N, n_in), and
+    what it is."""
 
     bases: tuple[Base, ...]
     latents: tuple[Latent, ...]
@@ -45,23 +46,28 @@ def kinds(module: Any) -> set[str]:
 
 
 def read_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
-    """The posterior of an ExactGP or ApproximateGP. `jitter` is what GPyTorch adds to K(Z, Z) of a variational model
-    of this precision. Raises `ModelError` for what is not supported, by name, and `DataError` without data."""
+    """The posterior of an ExactGP or ApproximateGP. `jitter` is what GPyTorch adds to K(Z, Z) of a
+    variational model of this precision. Raises `ModelError` for what is not supported, by name,
+    and `DataError` without data."""
     there = kinds(model)
     if "ApproximateGP" in there or "AbstractVariationalGP" in there:
         return _variational_model(model, likelihood, jitter)
     if "ExactGP" not in there:
         raise ModelError(
-            f"{type(model).__name__} is not supported", expected="gpytorch.models.ExactGP or ApproximateGP",
+            f"{type(model).__name__} is not supported",
+            expected="gpytorch.models.ExactGP or ApproximateGP",
             fix="hand over the model itself, with mean_module and covar_module",
-        )  # fmt: skip
+        )
     if model.train_inputs is None or model.train_targets is None:
         raise DataError(
-            f"{type(model).__name__} has no training data", expected="train_inputs and train_targets: an exact GP is "
-            "its data", fix="model.set_train_data(train_x, train_y, strict=False) before from_gpytorch",
-        )  # fmt: skip
+            f"{type(model).__name__} has no training data",
+            expected="train_inputs and train_targets: an exact GP is its data",
+            fix="model.set_train_data(train_x, train_y, strict=False) before from_gpytorch",
+        )
     if len(model.train_inputs) != 1:
-        raise ModelError(f"{len(model.train_inputs)} training inputs", expected="one tensor (N, n_in)")
+        raise ModelError(
+            f"{len(model.train_inputs)} training inputs", expected="one tensor (N, n_in)"
+        )
     covar = _module(model, "covar_module")
     if kinds(covar) & {"MultitaskKernel", "LCMKernel"}:
         return _multitask(model, likelihood, covar)
@@ -71,22 +77,22 @@ def read_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
 def _module(model: Any, name: str) -> Any:
     if not hasattr(model, name):
         raise ModelError(
-            f"{type(model).__name__} has no {name}", expected="mean_module and covar_module, as GPyTorch's examples have",
+            f"{type(model).__name__} has no {name}",
+            expected="mean_module and covar_module, as GPyTorch's examples have",
             fix=f"name the module self.{name}",
-        )  # fmt: skip
+        )
     return getattr(model, name)
 
 
-# ------------------------------------------------------------------------------------------------ parts
+# -------------------- parts
 
 
 def read_mean(module: Any, pick: Pick, n_in: int, where: str) -> tuple[float, FloatArray]:
     """(c, s) of the prior mean c + s'x. Raises `ModelError` that names another mean."""
-    names = kinds(module)
-    forward = type(module).forward
+    own: Any = type(module)
     for known in ("ZeroMean", "ConstantMean", "LinearMean"):
-        base = next((c for c in type(module).__mro__ if c.__name__ == known), None)
-        if known not in names or base is None or forward is not base.forward:
+        base: Any = next((c for c in own.__mro__ if c.__name__ == known), None)
+        if base is None or own.forward is not base.forward:
             continue
         if known == "ZeroMean":
             return 0.0, np.zeros(n_in)
@@ -95,12 +101,14 @@ def read_mean(module: Any, pick: Pick, n_in: int, where: str) -> tuple[float, Fl
         constant = 0.0 if module.bias is None else pick.scalar(module.bias, 1)
         return constant, pick(module.weights, 2)[:, 0]
     raise ModelError(
-        f"{type(module).__name__} in {where} is not supported", expected="ZeroMean, ConstantMean or LinearMean"
+        f"{type(module).__name__} in {where} is not supported",
+        expected="ZeroMean, ConstantMean or LinearMean",
     )
 
 
 def noise_matrix(likelihood: Any, n_out: int, samples: int) -> FloatArray:
-    """Noise covariance (n_out, n_out) of one sample, or (samples, n_out) variances where they are fixed one by one.
+    """Noise covariance (n_out, n_out) of one sample, or (samples, n_out) variances where they are
+    fixed one by one.
 
     Raises `ModelError` for a likelihood that is not Gaussian and for a noise that is not positive.
     """
@@ -114,7 +122,7 @@ def noise_matrix(likelihood: Any, n_out: int, samples: int) -> FloatArray:
             total += factor @ factor.T
         if likelihood.has_global_noise:
             total += numbers(likelihood.noise).reshape(()) * np.eye(n_out)
-        _positive(np.linalg.eigvalsh(total))
+        _positive(np.asarray(np.linalg.eigvalsh(total)))
         return total
     if "FixedNoiseGaussianLikelihood" in names:
         fixed = numbers(likelihood.noise)
@@ -134,22 +142,27 @@ def noise_matrix(likelihood: Any, n_out: int, samples: int) -> FloatArray:
     )
 
 
-def _factor(matrix: FloatArray) -> FloatArray:
-    """Lower Cholesky factor, with the jitters that GPyTorch adds to a singular matrix (none, 1e-8, 1e-7, 1e-6)."""
+def _factor(matrix: Any) -> FloatArray:
+    """Lower Cholesky factor, with the jitters that GPyTorch adds to a singular matrix (none, 1e-8,
+    1e-7, 1e-6)."""
     for added in JITTERS:
         try:
             return np.asarray(cholesky(matrix + added * np.eye(len(matrix)), lower=True))
         except np.linalg.LinAlgError:
             continue
-    raise ModelError("a covariance matrix of the model is singular", fix="more noise, or fewer inducing points")
+    raise ModelError(
+        "a covariance matrix of the model is singular", fix="more noise, or fewer inducing points"
+    )
 
 
 def _positive(values: FloatArray) -> None:
     if not np.isfinite(values).all() or not (values > 0).all():
         raise ModelError(
-            "the likelihood's noise is not positive", expected="a variance above 0", got=f"{np.min(values):.3g}",
+            "the likelihood's noise is not positive",
+            expected="a variance above 0",
+            got=f"{np.min(values):.3g}",
             fix="look at likelihood.noise; train again with a constraint on it",
-        )  # fmt: skip
+        )
 
 
 def _batch(*modules: Any) -> int:
@@ -160,11 +173,12 @@ def _batch(*modules: Any) -> int:
     return sizes.pop() if sizes else 1
 
 
-# ------------------------------------------------------------------------------------------------ exact
+# -------------------- exact
 
 
 def _data(model: Any, n_out: int) -> tuple[list[FloatArray], FloatArray]:
-    """(inputs (N, n_in) per output, targets (N, n_out)) of an exact model: targets are (N,), (n_out, N) or (N, n_out)."""
+    """(inputs (N, n_in) per output, targets (N, n_out)) of an exact model: targets are (N,),
+    (n_out, N) or (N, n_out)."""
     x, y = numbers(model.train_inputs[0]), numbers(model.train_targets)
     if x.ndim == 1:
         x = x[:, None]
@@ -179,7 +193,9 @@ def _data(model: Any, n_out: int) -> tuple[list[FloatArray], FloatArray]:
         targets = y
     if targets.shape != (samples, n_out):
         raise DataError(
-            "the training targets do not fit", expected=f"{samples} samples of {n_out} outputs", got=str(y.shape)
+            "the training targets do not fit",
+            expected=f"{samples} samples of {n_out} outputs",
+            got=str(y.shape),
         )
     many = x.reshape(-1, samples, x.shape[-1])
     return [many[j if len(many) > 1 else 0] for j in range(n_out)], targets
@@ -194,13 +210,19 @@ def _exact(model: Any, likelihood: Any, covar: Any) -> Posterior:
     inputs, y = _data(model, n_out)
     level = noise_matrix(likelihood, n_out, len(y))
     if level.shape == (n_out, n_out) and np.any(level - np.diag(np.diag(level))):
-        raise ModelError("independent outputs with noise that is correlated between them are not supported")
+        raise ModelError(
+            "independent outputs with noise that is correlated between them are not supported"
+        )
     sgpr = "InducingPointKernel" in kinds(covar)
     bases: list[Base] = []
     latents = []
     for j in range(n_out):
         pick = Pick(index=j)
-        noise = level[:, j] if level.shape != (n_out, n_out) or len(y) == n_out == 1 else np.full(len(y), level[j, j])
+        noise = (
+            level[:, j]
+            if level.shape != (n_out, n_out) or len(y) == n_out == 1
+            else np.full(len(y), level[j, j])
+        )
         constant, slope = read_mean(_member(mean, j), pick, inputs[j].shape[1], "mean_module")
         left = y[:, j] - constant - inputs[j] @ slope
         if sgpr:
@@ -212,13 +234,26 @@ def _exact(model: Any, likelihood: Any, covar: Any) -> Posterior:
             told = _full(base.covariance, inputs[j], left, noise)
         bases.append(base)
         latents.append(
-            Latent(bases=(j,), prior=np.ones(1), constant=constant, slope=slope, **told)
+            Latent(
+                bases=(j,),
+                prior=np.ones(1),
+                constant=constant,
+                slope=slope,
+                weights=told.weights,
+                explained=told.explained,
+                uncertain=told.uncertain,
+            )
         )
     spread = np.diag(level) if level.shape == (n_out, n_out) else level.mean(axis=0)
     return Posterior(
-        bases=tuple(bases), latents=tuple(latents), mixing=np.eye(n_out), noise=np.array(spread),
-        offset=np.zeros(n_out), inputs=inputs[0], method="sgpr" if sgpr else "exact",
-    )  # fmt: skip
+        bases=tuple(bases),
+        latents=tuple(latents),
+        mixing=np.eye(n_out),
+        noise=np.array(spread),
+        offset=np.zeros(n_out),
+        inputs=inputs[0],
+        method="sgpr" if sgpr else "exact",
+    )
 
 
 def _targets(shape: tuple[int, ...], x: FloatArray) -> int:
@@ -235,20 +270,27 @@ def _member(mean: Any, j: int) -> Any:
     return mean.base_means[j] if "MultitaskMean" in kinds(mean) else mean
 
 
-def _full(kernel: Covariance, x: FloatArray, y: FloatArray, noise: FloatArray) -> dict[str, FloatArray]:
+class _Told(NamedTuple):
+    """Numbers of one latent process on one base."""
+
+    weights: FloatArray
+    explained: FloatArray
+    uncertain: FloatArray
+
+
+def _full(kernel: Covariance, x: FloatArray, y: FloatArray, noise: FloatArray) -> _Told:
     matrix = kernel.matrix(x, x)
     matrix[np.diag_indices(len(x))] += noise
     factor = _factor(matrix)
     inverse = solve_triangular(factor, np.eye(len(x)), lower=True)
-    return {
-        "weights": cho_solve((factor, True), y), "explained": np.tril(inverse), "uncertain": np.zeros((0, len(x))),
-    }  # fmt: skip
+    return _Told(cho_solve((factor, True), y), np.tril(inverse), np.zeros((0, len(x))))
 
 
 def _inducing(
     kernel: Covariance, z: FloatArray, x: FloatArray, y: FloatArray, noise: FloatArray
-) -> dict[str, FloatArray]:
-    """Noise of every sample grows by the prior variance that the inducing points leave unexplained there."""
+) -> _Told:
+    """Noise of every sample grows by the prior variance that the inducing points leave unexplained
+    there."""
     factor = _factor(kernel.matrix(z, z))
     a = solve_triangular(factor, kernel.matrix(z, x), lower=True)
     left = np.maximum(kernel.variance(x.T, np).ravel() - (a * a).sum(axis=0), 0.0)
@@ -256,19 +298,25 @@ def _inducing(
     inner = cholesky(np.eye(len(z)) + a @ a.T, lower=True)
     projected = cho_solve((inner, True), a @ (y / np.sqrt(noise + left)))
     inverse = np.tril(solve_triangular(factor, np.eye(len(z)), lower=True))
-    return {
-        "weights": solve_triangular(factor, projected, lower=True, trans="T"), "explained": inverse,
-        "uncertain": np.tril(solve_triangular(inner, inverse, lower=True)),
-    }  # fmt: skip
+    return _Told(
+        solve_triangular(factor, projected, lower=True, trans="T"),
+        inverse,
+        np.tril(solve_triangular(inner, inverse, lower=True)),
+    )
 
 
-# ------------------------------------------------------------------------------------------------ several outputs
+# -------------------- several outputs
 
 
 def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
-    """K((x, i), (x', j)) = sum_q B_q[i, j] k_q(x, x') (ICM with one term, LMC with more), all samples of all outputs."""
+    """K((x, i), (x', j)) = sum_q B_q[i, j] k_q(x, x') (ICM with one term, LMC with more), all
+    samples of all outputs."""
     members = list(covar.covar_module_list) if "LCMKernel" in kinds(covar) else [covar]
-    place = "covar_module.covar_module_list.{}" if len(members) > 1 or members[0] is not covar else "covar_module"
+    place = (
+        "covar_module.covar_module_list.{}"
+        if len(members) > 1 or members[0] is not covar
+        else "covar_module"
+    )
     n_out = int(members[0].num_tasks)
     inputs, y = _data(model, n_out)
     x, n = inputs[0], len(y)
@@ -278,7 +326,9 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
         kernel = read_module(member.data_covar_module, Pick(), where, whole=True)
         dims = getattr(member, "active_dims", None)
         if dims is not None:
-            raise ModelError(f"active dimensions of {type(member).__name__} in {place.format(i)} are not supported")
+            raise ModelError(
+                f"active dimensions of {type(member).__name__} in {place.format(i)}: not supported"
+            )
         bases.append(Base(covariance=kernel, support=x))
         matrix = member.task_covar_module.covar_matrix
         between.append(numbers(matrix.to_dense() if hasattr(matrix, "to_dense") else matrix))
@@ -290,33 +340,46 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
     whole = whole + np.kron(np.eye(n), own)
     factor = _factor(whole)
     mean = _module(model, "mean_module")
-    affine = [read_mean(_member(mean, j), Pick(index=j), x.shape[1], "mean_module") for j in range(n_out)]
+    affine = [
+        read_mean(_member(mean, j), Pick(index=j), x.shape[1], "mean_module") for j in range(n_out)
+    ]
     left = y - np.column_stack([c + x @ s for c, s in affine])
     alpha = cho_solve((factor, True), left.ravel()).reshape(n, n_out)
     latents = []
     for j, (constant, slope) in enumerate(affine):
-        # The covariance of output j at x with all data is M_j k(x) with the columns of every B_q spread over samples.
+        # The covariance of output j at x with all data is M_j k(x), the columns of every B_q
+        # spread over the samples.
         spread = np.hstack([np.kron(np.eye(n), b[:, j : j + 1]) for b in between])
         seen = solve_triangular(factor, spread, lower=True)
         explained = np.asarray(qr(seen, mode="r")[0])[: seen.shape[1]]
         latents.append(
             Latent(
-                bases=tuple(range(len(bases))), prior=np.array([b[j, j] for b in between]),
-                weights=np.concatenate([alpha @ b[:, j] for b in between]), explained=explained,
-                uncertain=np.zeros((0, seen.shape[1])), constant=constant, slope=slope,
+                bases=tuple(range(len(bases))),
+                prior=np.array([b[j, j] for b in between]),
+                weights=np.concatenate([alpha @ b[:, j] for b in between]),
+                explained=explained,
+                uncertain=np.zeros((0, seen.shape[1])),
+                constant=constant,
+                slope=slope,
             )
-        )  # fmt: skip
+        )
     return Posterior(
-        bases=tuple(bases), latents=tuple(latents), mixing=np.eye(n_out), noise=np.diag(own).copy(),
-        offset=np.zeros(n_out), inputs=x, method="exact",
-    )  # fmt: skip
+        bases=tuple(bases),
+        latents=tuple(latents),
+        mixing=np.eye(n_out),
+        noise=np.diag(own).copy(),
+        offset=np.zeros(n_out),
+        inputs=x,
+        method="exact",
+    )
 
 
-# ------------------------------------------------------------------------------------------------ variational
+# -------------------- variational
 
 
 def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
-    """q(u) on inducing points, whitened or not, alone, as a batch of independent outputs, or mixed (LMC)."""
+    """q(u) on inducing points, whitened or not, alone, as a batch of independent outputs, or mixed
+    (LMC)."""
     outer = model.variational_strategy
     names = kinds(outer)
     mixing: FloatArray | None = None
@@ -333,9 +396,10 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
     kind = type(inner).__name__
     if kind not in ("VariationalStrategy", "UnwhitenedVariationalStrategy"):
         raise ModelError(
-            f"{kind} in {where} is not supported", expected="VariationalStrategy or UnwhitenedVariationalStrategy, "
+            f"{kind} in {where} is not supported",
+            expected="VariationalStrategy or UnwhitenedVariationalStrategy, "
             "alone or inside LMCVariationalStrategy or IndependentMultitaskVariationalStrategy",
-        )  # fmt: skip
+        )
     covar, mean = _module(model, "covar_module"), _module(model, "mean_module")
     q = inner.variational_distribution
     center, root = numbers(q.mean), _root(q, inner)
@@ -356,19 +420,29 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
         bases.append(base)
         latents.append(
             Latent(
-                bases=(j,), prior=np.ones(1), weights=solve_triangular(factor, m, lower=True, trans="T"),
-                explained=inverse, uncertain=r.T @ inverse, constant=constant, slope=slope,
+                bases=(j,),
+                prior=np.ones(1),
+                weights=solve_triangular(factor, m, lower=True, trans="T"),
+                explained=inverse,
+                uncertain=r.T @ inverse,
+                constant=constant,
+                slope=slope,
                 offset=added if kind == "VariationalStrategy" else 0.0,
             )
-        )  # fmt: skip
+        )
     if mixing is None:
         mixing = np.ones((repeats, 1)) if repeats and n_f == 1 else np.eye(n_f)
     n_out = len(mixing)
     noise = noise_matrix(likelihood, n_out, 1)
     return Posterior(
-        bases=tuple(bases), latents=tuple(latents), mixing=mixing, noise=np.diag(noise).copy(),
-        offset=np.full(n_out, offset), inputs=bases[0].support, method="svgp",
-    )  # fmt: skip
+        bases=tuple(bases),
+        latents=tuple(latents),
+        mixing=mixing,
+        noise=np.diag(noise).copy(),
+        offset=np.full(n_out, offset),
+        inputs=bases[0].support,
+        method="svgp",
+    )
 
 
 def _root(q: Any, strategy: Any) -> FloatArray:

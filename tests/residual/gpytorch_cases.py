@@ -1,4 +1,5 @@
-"""GPyTorch models of every kind that `from_gpytorch` reads, small and untrained: their numbers are arbitrary."""
+"""GPyTorch models of every kind that `from_gpytorch` reads, small and untrained: their numbers are
+arbitrary."""
 
 from __future__ import annotations
 
@@ -30,22 +31,44 @@ def kernel(name: str, batch: int = 0):
         "linear": lambda: k.LinearKernel(ard_num_dims=3, **own),
         "polynomial": lambda: k.ScaleKernel(k.PolynomialKernel(power=2, **own), **own),
         "constant": lambda: k.RBFKernel(**own) + k.ConstantKernel(**own),
-        "active": lambda: k.ScaleKernel(k.RBFKernel(active_dims=[0, 2], ard_num_dims=2, **own), **own),
+        "active": lambda: k.ScaleKernel(
+            k.RBFKernel(active_dims=[0, 2], ard_num_dims=2, **own), **own
+        ),
         "tree": lambda: k.ScaleKernel(
             k.RBFKernel(active_dims=[1], **own) * k.PeriodicKernel(active_dims=[0], **own)
-            + k.LinearKernel(active_dims=[1, 2], ard_num_dims=2, **own) * k.MaternKernel(nu=2.5, **own),
+            + k.LinearKernel(active_dims=[1, 2], ard_num_dims=2, **own)
+            * k.MaternKernel(nu=2.5, **own),
             **own,
         ),
     }[name]()
 
 
 KERNELS = (
-    "rbf", "rbf-ard", "matern12", "matern32", "matern52", "rq", "periodic", "linear", "polynomial", "constant", "active",
+    "rbf",
+    "rbf-ard",
+    "matern12",
+    "matern32",
+    "matern52",
+    "rq",
+    "periodic",
+    "linear",
+    "polynomial",
+    "constant",
+    "active",
     "tree",
-)  # fmt: skip
+)
 MODELS = (
-    "exact", "sgpr", "svgp", "svgp-unwhitened", "svgp-mean-field", "batch", "svgp-batch", "svgp-lmc", "icm", "lcm",
-)  # fmt: skip
+    "exact",
+    "sgpr",
+    "svgp",
+    "svgp-unwhitened",
+    "svgp-mean-field",
+    "batch",
+    "svgp-batch",
+    "svgp-lmc",
+    "icm",
+    "lcm",
+)
 
 
 class Exact(gpytorch.models.ExactGP):
@@ -69,12 +92,18 @@ class Variational(gpytorch.models.ApproximateGP):
             if kind == "mean-field"
             else variational.CholeskyVariationalDistribution
         )
-        strategy = variational.UnwhitenedVariationalStrategy if kind == "unwhitened" else variational.VariationalStrategy
+        strategy = (
+            variational.UnwhitenedVariationalStrategy
+            if kind == "unwhitened"
+            else variational.VariationalStrategy
+        )
         inner = strategy(self, z, family(M, batch_shape=shape), learn_inducing_locations=True)
         if kind == "batch":
             inner = variational.IndependentMultitaskVariationalStrategy(inner, num_tasks=latents)
         if kind == "lmc":
-            inner = variational.LMCVariationalStrategy(inner, num_tasks=outputs, num_latents=latents)
+            inner = variational.LMCVariationalStrategy(
+                inner, num_tasks=outputs, num_latents=latents
+            )
         super().__init__(inner)
         self.mean_module, self.covar_module = mean, covar
 
@@ -112,7 +141,14 @@ def make(model: str, kernel_name: str, seed: int = 0, dtype=torch.float64):
         covar = k.MultitaskKernel(kernel(kernel_name), num_tasks=3, rank=2)
         if model == "lcm":
             covar = k.LCMKernel([kernel(kernel_name), k.RBFKernel()], num_tasks=3, rank=1)
-        own = Exact(x, y, likelihood, means.MultitaskMean(means.ConstantMean(), num_tasks=3), covar, outputs="multitask")
+        own = Exact(
+            x,
+            y,
+            likelihood,
+            means.MultitaskMean(means.ConstantMean(), num_tasks=3),
+            covar,
+            outputs="multitask",
+        )
     else:
         kind = model.removeprefix("svgp").removeprefix("-")
         latents = {"batch": 3, "lmc": 2}.get(kind, 0)
@@ -136,13 +172,18 @@ def exactly():
     """GPyTorch with Cholesky factors throughout."""
     s = gpytorch.settings
     with ExitStack() as stack:
-        for setting in (s.fast_computations(False, False, False), s.max_cholesky_size(10**6), s.debug(False)):
+        for setting in (
+            s.fast_computations(False, False, False),
+            s.max_cholesky_size(10**6),
+            s.debug(False),
+        ):
             stack.enter_context(setting)
         yield
 
 
 def told(model, z: np.ndarray):
-    """(mean (n_out,), variance (n_out,), Jacobians (n_out, n_in)) of the model at one point, by PyTorch's autograd."""
+    """(mean (n_out,), variance (n_out,), Jacobians (n_out, n_in)) of the model at one point, by
+    PyTorch's autograd."""
     point = torch.tensor(z[None], dtype=next(model.parameters()).dtype, requires_grad=True)
     with exactly():
         out = model(point)

@@ -1,5 +1,6 @@
-"""A GP that was trained in GPyTorch comes over whole: mean, variance and both Jacobians are GPyTorch's own, for every kernel
-and every kind of model; what cannot come over is named with its place."""
+"""A GP that was trained in GPyTorch comes over whole: mean, variance and both Jacobians are
+GPyTorch's own, for every kernel and every kind of model; what cannot come over is named with its
+place."""
 
 from __future__ import annotations
 
@@ -25,8 +26,8 @@ from tests.residual.gpytorch_cases import (  # noqa: E402
 
 QUANTITIES = ("mean", "variance", "mean_jacobian", "variance_jacobian")
 TOLERANCE = {"matern12": 1e-6}
-"""GPyTorch's root of a rounded squared distance costs a kernel with a kink at zero half of its digits; ours takes the
-differences themselves. All else: 1e-8."""
+"""GPyTorch's root of a rounded squared distance costs a kernel with a kink at zero half of its
+digits; ours takes the differences themselves. All else: 1e-8."""
 REST = [(m, k) for m in MODELS for k in KERNELS if not (m == "exact" or k == "tree")]
 REFUSED_BY_GPYTORCH = [("icm", "active"), ("lcm", "active")]
 """GPyTorch's multitask kernel ignores active dimensions and then fails."""
@@ -61,7 +62,9 @@ def test_every_kind_of_model_with_a_tree_of_kernels_is_gpytorchs_own(model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "name"), [pair for pair in REST if pair not in REFUSED_BY_GPYTORCH])
+@pytest.mark.parametrize(
+    ("model", "name"), [pair for pair in REST if pair not in REFUSED_BY_GPYTORCH]
+)
 def test_every_kernel_in_every_kind_of_model_is_gpytorchs_own(model, name):
     agrees(model, name, points=4)
 
@@ -91,7 +94,10 @@ def test_a_file_gives_the_same_numbers_and_damage_is_named(tmp_path):
     gp = gb.from_gpytorch(model, likelihood, inputs=["a", "b", "c"], outputs=["f", "g", "h"])
     again = GaussianProcess.load(gp.save(tmp_path / "gp.json"))
     z = np.random.default_rng(2).standard_normal((5, N_IN))
-    assert all(np.array_equal(a, b) for a, b in zip(gp.evaluate(z, noise=True), again.evaluate(z, noise=True)))
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(gp.evaluate(z, noise=True), again.evaluate(z, noise=True))
+    )
     assert (again.inputs, again.outputs) == (gp.inputs, gp.outputs)
     (tmp_path / "gp.npz").write_bytes(b"nothing")
     with pytest.raises(FileFormatError, match="arrays"):
@@ -102,13 +108,17 @@ def test_standardised_training_data_are_undone():
     model, likelihood = make("batch", "rbf-ard")
     mean, scale = np.array([1.0, -2.0, 3.0]), np.array([2.0, 0.5, 4.0])
     gp = gb.from_gpytorch(model, likelihood)
-    outer = gb.from_gpytorch(model, likelihood, input_transform=(mean, scale), output_transform=(2 * mean, scale))
+    outer = gb.from_gpytorch(
+        model, likelihood, input_transform=(mean, scale), output_transform=(2 * mean, scale)
+    )
     z = np.array([[0.3, -0.2, 0.7]])
     (m, v), (m2, v2) = gp.evaluate(z, noise=True), outer.evaluate(z * scale + mean, noise=True)
     assert np.allclose(m2, 2 * mean + scale * m, rtol=1e-12)
     assert np.allclose(v2, scale**2 * v, rtol=1e-12)
     slope = np.asarray(outer.mean_jacobian(z[0] * scale + mean))
-    assert np.allclose(slope, scale[:, None] * np.asarray(gp.mean_jacobian(z[0])) / scale, rtol=1e-10)
+    assert np.allclose(
+        slope, scale[:, None] * np.asarray(gp.mean_jacobian(z[0])) / scale, rtol=1e-10
+    )
 
 
 def test_noise_of_a_new_sample_is_the_likelihoods():
@@ -130,18 +140,20 @@ def test_the_users_model_stays_as_it_was():
     assert all(torch.equal(p, before[n]) for n, p in model.state_dict().items())
 
 
-# ------------------------------------------------------------------------------------------------ other people's models
+# -------------------- other people's models
 
 
 class BatchIndependent(gpytorch.models.ExactGP):
-    """The structure of the model that l4acados' examples save: outputs as a batch, zero mean, scaled ARD kernel."""
+    """The structure of the model that l4acados' examples save: outputs as a batch, zero mean,
+    scaled ARD kernel."""
 
     def __init__(self, x, y, likelihood, residual_dimension, input_dimension):
         super().__init__(x, y, likelihood)
         shape = torch.Size([residual_dimension])
         self.mean_module = gpytorch.means.ZeroMean(batch_shape=shape)
         self.covar_module = gpytorch.kernels.ScaleKernel(
-            gpytorch.kernels.RBFKernel(ard_num_dims=input_dimension, batch_shape=shape), batch_shape=shape
+            gpytorch.kernels.RBFKernel(ard_num_dims=input_dimension, batch_shape=shape),
+            batch_shape=shape,
         )
 
     def forward(self, x):
@@ -158,7 +170,9 @@ def test_a_saved_state_dict_in_l4acados_form_comes_over(tmp_path):
         trained.covar_module.base_kernel.raw_lengthscale += 0.7
         likelihood.raw_task_noises += torch.tensor([0.2, -0.4])
     torch.save(trained.state_dict(), tmp_path / "model.pth")
-    loaded = BatchIndependent(None, None, gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=2), 2, 5).double()
+    loaded = BatchIndependent(
+        None, None, gpytorch.likelihoods.MultitaskGaussianLikelihood(num_tasks=2), 2, 5
+    ).double()
     loaded.load_state_dict(torch.load(tmp_path / "model.pth", weights_only=True))
     with pytest.raises(DataError, match="no training data"):
         gb.from_gpytorch(loaded)
@@ -191,14 +205,19 @@ class Standardize(torch.nn.Module):
 
 
 def test_a_model_with_botorchs_structure_comes_over():
-    """Outputs as the first dimension of the data, transforms on the model: what SingleTaskGP holds in evaluation mode."""
+    """Outputs as the first dimension of the data, transforms on the model: what SingleTaskGP holds
+    in evaluation mode."""
     rng = np.random.default_rng(4)
     x = torch.tensor(rng.standard_normal((20, 2))).expand(2, 20, 2).clone()
     y = torch.tensor(rng.standard_normal((2, 20)))
     shape = torch.Size([2])
     likelihood = gpytorch.likelihoods.GaussianLikelihood(batch_shape=shape).double()
     covar = gpytorch.kernels.RBFKernel(ard_num_dims=2, batch_shape=shape)
-    model = Exact(x, y, likelihood, gpytorch.means.ConstantMean(batch_shape=shape), covar).double().eval()
+    model = (
+        Exact(x, y, likelihood, gpytorch.means.ConstantMean(batch_shape=shape), covar)
+        .double()
+        .eval()
+    )
     model.input_transform, model.outcome_transform = AffineInputTransform(), Standardize()
     gp = gb.from_gpytorch(model)
     z = rng.standard_normal((3, 2))
@@ -220,7 +239,9 @@ def test_botorchs_single_task_gp_comes_over():
     x, y = torch.tensor(3 + 2 * rng.random((30, 3))), torch.tensor(5 + rng.standard_normal((30, 2)))
     z = 3 + 2 * rng.random((4, 3))
     both = SingleTaskGP(x, y, input_transform=Normalize(d=3))
-    each = ModelListGP(*(SingleTaskGP(x, y[:, j : j + 1], input_transform=Normalize(d=3)) for j in range(2)))
+    each = ModelListGP(
+        *(SingleTaskGP(x, y[:, j : j + 1], input_transform=Normalize(d=3)) for j in range(2))
+    )
     for model in (both, each):
         gp = gb.from_gpytorch(model)
         with exactly(), torch.no_grad():
@@ -230,7 +251,7 @@ def test_botorchs_single_task_gp_comes_over():
         assert np.allclose(variance, want.variance.numpy(), rtol=1e-8)
 
 
-# ------------------------------------------------------------------------------------------------ refusals
+# -------------------- refusals
 
 
 def refusal(model, likelihood, error=ModelError, **options):
@@ -244,12 +265,18 @@ def exact(covar=None, mean=None, likelihood=None):
     x = torch.linspace(0, 1, 3 * 7, dtype=torch.float64).reshape(7, 3) ** 2
     likelihood = likelihood or gpytorch.likelihoods.GaussianLikelihood()
     mean = mean or gpytorch.means.ZeroMean()
-    return Exact(x, x[:, 0], likelihood, mean, covar or gpytorch.kernels.RBFKernel()).double(), likelihood.double()
+    return Exact(
+        x, x[:, 0], likelihood, mean, covar or gpytorch.kernels.RBFKernel()
+    ).double(), likelihood.double()
 
 
 def test_what_is_not_supported_is_named_with_its_place():
     k = gpytorch.kernels
-    said = refusal(*exact(k.ScaleKernel(k.RBFKernel() + k.SpectralMixtureKernel(num_mixtures=2, ard_num_dims=3))))
+    said = refusal(
+        *exact(
+            k.ScaleKernel(k.RBFKernel() + k.SpectralMixtureKernel(num_mixtures=2, ard_num_dims=3))
+        )
+    )
     assert "SpectralMixtureKernel in covar_module.base_kernel.kernels.1" in said
     assert "RBFKernel" in said
     assert "LinearMeanGrad" in refusal(*exact(mean=gpytorch.means.LinearMeanGrad(3)))
@@ -285,10 +312,14 @@ def test_a_noise_that_is_not_positive_is_refused():
 def test_sizes_that_do_not_fit_are_refused():
     model, likelihood = exact()
     assert "the model has 3 inputs; got 2 names" in refusal(model, likelihood, inputs=["a", "b"])
-    assert "input_transform" in refusal(model, likelihood, input_transform=(np.zeros(2), np.ones(2)))
+    assert "input_transform" in refusal(
+        model, likelihood, input_transform=(np.zeros(2), np.ones(2))
+    )
     with pytest.raises(ModelError, match="wrong length"):
         gb.from_gpytorch(model, likelihood).mean(np.zeros(4))
 
 
 def test_something_else_than_a_model_is_refused():
-    assert "is not supported" in refusal(gpytorch.kernels.RBFKernel(), gpytorch.likelihoods.GaussianLikelihood())
+    assert "is not supported" in refusal(
+        gpytorch.kernels.RBFKernel(), gpytorch.likelihoods.GaussianLikelihood()
+    )

@@ -20,8 +20,18 @@ from greybox.residual.covariances.rational_quadratic import RationalQuadratic
 from greybox.residual.covariances.rbf import RBF
 
 COVARIANCES: tuple[type[Covariance], ...] = (
-    RBF, Matern, RationalQuadratic, Periodic, Linear, Polynomial, Constant, Sum, Product, Scaled, OnDims,
-)  # fmt: skip
+    RBF,
+    Matern,
+    RationalQuadratic,
+    Periodic,
+    Linear,
+    Polynomial,
+    Constant,
+    Sum,
+    Product,
+    Scaled,
+    OnDims,
+)
 _BY_KIND = {c.kind: c for c in COVARIANCES}
 _BY_MODULE = {c.module: c for c in COVARIANCES if c.module}
 
@@ -39,17 +49,19 @@ def covariance_from_dict(value: Mapping[str, Any]) -> Covariance:
 def read_module(module: Any, pick: Pick, where: str, *, whole: bool = False) -> Covariance:
     """The covariance that a GPyTorch kernel module is; `where` is its place in the model.
 
-    A subclass counts as what it is made from only where it changes nothing in `forward`. With `whole` the
-    module's own active dimensions do not count, as inside GPyTorch's ScaleKernel and MultitaskKernel.
-    Raises `ModelError` that names a module which is not supported and its place.
+    A subclass counts as what it is made from only where it changes nothing in `forward`. With
+    `whole` the module's own active dimensions do not count, as inside GPyTorch's ScaleKernel and
+    MultitaskKernel. Raises `ModelError` that names a module which is not supported and its place.
     """
-    known = next((c for c in type(module).__mro__ if c.__name__ in _BY_MODULE), None)
-    name = type(module).__name__
-    if known is None or type(module).forward is not known.forward:
+    own: Any = type(module)
+    known: Any = next((c for c in own.__mro__ if c.__name__ in _BY_MODULE), None)
+    name = own.__name__
+    if known is None or own.forward is not known.forward:
         raise ModelError(
             f"{name} in {where} is not supported",
-            expected=", ".join(sorted(_BY_MODULE)), fix="use these, or sums, products and scales of them",
-        )  # fmt: skip
+            expected=", ".join(sorted(_BY_MODULE)),
+            fix="use these, or sums, products and scales of them",
+        )
     kind = _BY_MODULE[known.__name__]
     found: Covariance
     if kind in (Sum, Product):

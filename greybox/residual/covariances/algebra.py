@@ -25,6 +25,7 @@ class Sum(Covariance):
     parts: tuple[Covariance, ...]
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         both = [part.column(support, x, xp) for part in self.parts]
 
         def back(c: Expr) -> Expr:
@@ -33,16 +34,20 @@ class Sum(Covariance):
         return sum((k for k, _ in both[1:]), both[0][0]), back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return sum(part.variance(x, xp) for part in self.parts)
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         return sum(part.variance_slope(x) for part in self.parts)
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
         return {"kind": self.kind, "parts": [part.to_dict() for part in self.parts]}
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+        """Inverse of `to_dict`."""
         return cls(parts=tuple(_plain(part) for part in value["parts"]))
 
 
@@ -55,6 +60,7 @@ class Product(Covariance):
     parts: tuple[Covariance, ...]
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         both = [part.column(support, x, xp) for part in self.parts]
         values = [k for k, _ in both]
 
@@ -67,9 +73,11 @@ class Product(Covariance):
         return reduce(mul, values), back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return reduce(mul, (part.variance(x, xp) for part in self.parts))
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         values = [part.variance(x, ca) for part in self.parts]
         rows = [
             reduce(mul, values[:i] + values[i + 1 :], part.variance_slope(x))
@@ -81,6 +89,7 @@ class Product(Covariance):
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+        """Inverse of `to_dict`."""
         return cls(parts=tuple(_plain(part) for part in value["parts"]))
 
 
@@ -95,23 +104,30 @@ class Scaled(Covariance):
 
     def __post_init__(self) -> None:
         if not self.factor >= 0:
-            raise ModelError("a covariance cannot be scaled by a negative factor", got=f"{self.factor:g}")
+            raise ModelError(
+                "a covariance cannot be scaled by a negative factor", got=f"{self.factor:g}"
+            )
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         k, pull = self.inner.column(support, x, xp)
         return self.factor * k, lambda c: self.factor * pull(c)
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return self.factor * self.inner.variance(x, xp)
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         return self.factor * self.inner.variance_slope(x)
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
         return {"kind": self.kind, "factor": self.factor, "inner": self.inner.to_dict()}
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+        """Inverse of `to_dict`."""
         return cls(factor=value["factor"], inner=_plain(value["inner"]))
 
 
@@ -127,6 +143,7 @@ class OnDims(Covariance):
         object.__setattr__(self, "dims", tuple(int(d) for d in self.dims))
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         k, pull = self.inner.column(support[:, list(self.dims)], x[list(self.dims), :], xp)
         back_in = self._places(x.shape[0])
         return k, lambda c: pull(c) @ back_in
@@ -137,16 +154,20 @@ class OnDims(Covariance):
         return ca.sparsify(ca.DM(matrix))
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return self.inner.variance(x[list(self.dims), :], xp)
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         return self.inner.variance_slope(x[list(self.dims), :]) @ self._places(x.shape[0])
 
     def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
         return {"kind": self.kind, "dims": list(self.dims), "inner": self.inner.to_dict()}
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> Covariance:
+        """Inverse of `to_dict`."""
         return cls(dims=tuple(value["dims"]), inner=_plain(value["inner"]))
 
 

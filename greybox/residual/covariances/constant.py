@@ -26,6 +26,7 @@ class Constant(Covariance):
             raise ModelError("constant covariance: must not be negative", got=f"{self.value:g}")
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         width = x.shape[1]
         k = np.full((len(support), width), self.value)
 
@@ -35,8 +36,10 @@ class Constant(Covariance):
         return (k if xp is np else ca.DM(k)), back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return np.full((1, x.shape[1]), self.value) if xp is np else ca.DM(self.value)
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(value=pick.scalar(module.constant, 1))

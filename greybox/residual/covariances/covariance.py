@@ -1,8 +1,9 @@
-"""Covariance: one covariance function k(b, x), for NumPy arrays and for CasADi columns, and its slope.
+"""Covariance: one covariance function k(b, x), for NumPy arrays and for CasADi columns, and its
+slope.
 
 A kernel is one small file: a frozen dataclass with the formula in `column`, and how it is read from
-the GPyTorch module of the same meaning. Sums, products, scales and active dimensions are covariances
-of covariances (`algebra.py`), so that any tree of them is one.
+the GPyTorch module of the same meaning. Sums, products, scales and active dimensions are
+covariances of covariances (`algebra.py`), so that any tree of them is one.
 
 Support points are rows (M, n); inputs are columns, (n, N) in NumPy and (n, 1) in CasADi. Formulas:
 Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapter 4.
@@ -28,7 +29,8 @@ Pullback = Callable[[Expr], Expr]
 
 
 class Covariance(ABC):
-    """k(b, x) >= 0 definite. `kind` is its name in files, `module` the GPyTorch class that it is."""
+    """k(b, x) >= 0 definite. `kind` is its name in files, `module` the GPyTorch class that it
+    is."""
 
     kind: ClassVar[str]
     module: ClassVar[str] = ""
@@ -120,6 +122,7 @@ class Stationary(Covariance):
         """(c, dc/d(r^2)) elementwise."""
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         scale = np.broadcast_to(self.lengthscales, support.shape[1:])
         center = support.mean(axis=0) if len(support) else np.zeros(support.shape[1])
         b = (support - center) / scale
@@ -138,4 +141,5 @@ class Stationary(Covariance):
         return c, back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return np.ones((1, x.shape[1])) if xp is np else ca.DM(1.0)

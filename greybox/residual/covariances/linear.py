@@ -27,6 +27,7 @@ class Linear(Covariance):
             raise ModelError("linear: variances must not be negative")
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         weighted = support * np.broadcast_to(self.variances, support.shape[1:])
         k = weighted @ x if xp is np else ca.DM(weighted) @ x
 
@@ -36,12 +37,15 @@ class Linear(Covariance):
         return k, back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         row = np.broadcast_to(self.variances, (x.shape[0],))[None, :]
         return row @ (x * x) if xp is np else ca.DM(np.array(row)) @ (x * x)
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         return 2.0 * (ca.DM(np.array(np.broadcast_to(self.variances, (x.shape[0],)))) * x).T
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(variances=pick(module.variance, 2))

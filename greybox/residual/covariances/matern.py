@@ -25,9 +25,12 @@ class Matern(Stationary):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.nu not in (0.5, 1.5, 2.5):
-            raise ModelError("Matern of another order", expected="nu 0.5, 1.5 or 2.5", got=f"{self.nu:g}")
+            raise ModelError(
+                "Matern of another order", expected="nu 0.5, 1.5 or 2.5", got=f"{self.nu:g}"
+            )
 
     def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+        """c and its slope in r^2."""
         a = xp.sqrt(2.0 * self.nu * xp.fmax(square, TINY + 0.0 * square))
         e = xp.exp(-a)
         if self.nu == 0.5:
@@ -38,4 +41,5 @@ class Matern(Stationary):
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), nu=float(module.nu))

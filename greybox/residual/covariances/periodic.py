@@ -31,22 +31,30 @@ class Periodic(Covariance):
                 raise ModelError(f"periodic: {name} must be positive")
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         n = support.shape[1]
-        rate, size = (np.broadcast_to(v, (n,)) for v in (np.pi / self.periods, 1.0 / self.lengthscales))
+        rate, size = (
+            np.broadcast_to(v, (n,)) for v in (np.pi / self.periods, 1.0 / self.lengthscales)
+        )
         angles = [rate[d] * (x[d : d + 1, :] - support[:, d : d + 1]) for d in range(n)]
         k = xp.exp(-2.0 * sum(size[d] * xp.sin(a) ** 2 for d, a in enumerate(angles)))
 
         def back(c: Expr) -> Expr:
             ck = c * k
             return ca.horzcat(
-                *(-2.0 * size[d] * rate[d] * ca.dot(ck, ca.sin(2.0 * a)) for d, a in enumerate(angles))
+                *(
+                    -2.0 * size[d] * rate[d] * ca.dot(ck, ca.sin(2.0 * a))
+                    for d, a in enumerate(angles)
+                )
             )
 
         return k, back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         return np.ones((1, x.shape[1])) if xp is np else ca.DM(1.0)
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), periods=pick(module.period_length, 2))

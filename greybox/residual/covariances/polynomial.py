@@ -27,6 +27,7 @@ class Polynomial(Covariance):
             raise ModelError("polynomial: a whole power of at least 1 and an offset of at least 0")
 
     def column(self, support: FloatArray, x: Any, xp: Any) -> tuple[Any, Pullback]:
+        """k and its pullback."""
         base = (support @ x if xp is np else ca.DM(support) @ x) + self.offset
 
         def back(c: Expr) -> Expr:
@@ -35,12 +36,15 @@ class Polynomial(Covariance):
         return base**self.power, back
 
     def variance(self, x: Any, xp: Any) -> Any:
+        """k(x, x)."""
         square = np.sum(x * x, axis=0, keepdims=True) if xp is np else ca.sumsqr(x)
         return (square + self.offset) ** self.power
 
     def variance_slope(self, x: Expr) -> Expr:
+        """dk(x, x)/dx."""
         return 2.0 * self.power * (ca.sumsqr(x) + self.offset) ** (self.power - 1) * x.T
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(power=int(module.power), offset=pick.scalar(module.offset, 1))

@@ -1,4 +1,5 @@
-"""Rational quadratic, k = (1 + r^2/(2 alpha))^-alpha: squared exponentials of many length-scales."""
+"""Rational quadratic, k = (1 + r^2/(2 alpha))^-alpha: squared exponentials of many
+length-scales."""
 
 from __future__ import annotations
 
@@ -25,10 +26,12 @@ class RationalQuadratic(Stationary):
             raise ModelError("rational quadratic: alpha must be positive", got=f"{self.alpha:g}")
 
     def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+        """c and its slope in r^2."""
         base = 1.0 + square / (2.0 * self.alpha)
         c = xp.exp(-self.alpha * xp.log(base))
         return c, -0.5 * c / base
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2), alpha=pick.scalar(module.alpha, 1))

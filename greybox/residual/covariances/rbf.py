@@ -18,9 +18,11 @@ class RBF(Stationary):
     lengthscales: FloatArray
 
     def of(self, square: Any, xp: Any) -> tuple[Any, Any]:
+        """c and its slope in r^2."""
         c = xp.exp(-0.5 * square)
         return c, -0.5 * c
 
     @classmethod
     def read(cls, module: Any, pick: Pick) -> Covariance:
+        """From the GPyTorch module of this kind."""
         return cls(lengthscales=pick(module.lengthscale, 2))
