@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts")
+BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts", "shown", "plots", "distribution")
 ROOMS = (
     "statistics", "data", "model", "estimation", "validation", "automatic", "residual", "discovery", "planning", "report",
 )  # fmt: skip
@@ -116,6 +116,17 @@ def test_greybox_reaches_its_users_only_from_commands_and_inside_functions():
                     wrong.append(say(path, found, "only greybox/cli.py and greybox/commands/ may reach it"))
                 elif not found.inside_function:
                     wrong.append(say(path, found, "only inside a function"))
+    assert not wrong, "\n".join(wrong)
+
+
+def test_no_command_imports_a_study():
+    wrong = [
+        say(path, found, "what a command needs is product, not a study")
+        for room in ("greybox", "mpc_export", "scenarios/courses", "scenarios/plants", "scenarios/excitation")
+        for path in files(room)
+        for found in imports(path)
+        if within(found.module, "scenarios.studies")
+    ]
     assert not wrong, "\n".join(wrong)
 
 
