@@ -308,30 +308,30 @@ def _inducing(
 # -------------------- several outputs
 
 
+def _term(member: Any, x: FloatArray, where: str) -> tuple[Base, FloatArray]:
+    """(k_q on the data, B_q) of one multitask kernel."""
+    kernel = read_module(member.data_covar_module, Pick(), f"{where}.data_covar_module", whole=True)
+    if getattr(member, "active_dims", None) is not None:
+        raise ModelError(f"active dimensions of {type(member).__name__} in {where}: not supported")
+    matrix = member.task_covar_module.covar_matrix
+    dense = matrix.to_dense() if hasattr(matrix, "to_dense") else matrix
+    return Base(covariance=kernel, support=x), numbers(dense)
+
+
 def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
     """K((x, i), (x', j)) = sum_q B_q[i, j] k_q(x, x') (ICM with one term, LMC with more), all
     samples of all outputs."""
-    members = list(covar.covar_module_list) if "LCMKernel" in kinds(covar) else [covar]
-    place = (
-        "covar_module.covar_module_list.{}"
-        if len(members) > 1 or members[0] is not covar
-        else "covar_module"
-    )
+    many = "LCMKernel" in kinds(covar)
+    members = list(covar.covar_module_list) if many else [covar]
     n_out = int(members[0].num_tasks)
     inputs, y = _data(model, n_out)
     x, n = inputs[0], len(y)
     bases, between = [], []
     for i, member in enumerate(members):
-        where = f"{place.format(i)}.data_covar_module"
-        kernel = read_module(member.data_covar_module, Pick(), where, whole=True)
-        dims = getattr(member, "active_dims", None)
-        if dims is not None:
-            raise ModelError(
-                f"active dimensions of {type(member).__name__} in {place.format(i)}: not supported"
-            )
-        bases.append(Base(covariance=kernel, support=x))
-        matrix = member.task_covar_module.covar_matrix
-        between.append(numbers(matrix.to_dense() if hasattr(matrix, "to_dense") else matrix))
+        where = f"covar_module.covar_module_list.{i}" if many else "covar_module"
+        base, matrix = _term(member, x, where)
+        bases.append(base)
+        between.append(matrix)
     own = noise_matrix(likelihood, n_out, n)
     if own.shape != (n_out, n_out):
         raise ModelError("FixedNoiseGaussianLikelihood with a multitask kernel is not supported")
@@ -377,20 +377,16 @@ def _multitask(model: Any, likelihood: Any, covar: Any) -> Posterior:
 # -------------------- variational
 
 
-def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
-    """q(u) on inducing points, whitened or not, alone, as a batch of independent outputs, or mixed
-    (LMC)."""
-    outer = model.variational_strategy
-    names = kinds(outer)
+def _strategy(outer: Any) -> tuple[Any, FloatArray | None, int, float]:
+    """(the inner strategy, LMC's mixing (n_out, n_f) or None, how often one process is repeated, the
+    variance that LMC adds). Raises `ModelError` that names another strategy."""
+    names, where = kinds(outer), "variational_strategy"
     mixing: FloatArray | None = None
-    repeats = 0
-    offset = 0.0
-    inner, where = outer, "variational_strategy"
+    inner, repeats, offset = outer, 0, 0.0
     if names & {"LMCVariationalStrategy", "IndependentMultitaskVariationalStrategy"}:
         inner, where = outer.base_variational_strategy, f"{where}.base_variational_strategy"
         if "LMCVariationalStrategy" in names:
-            mixing = numbers(outer.lmc_coefficients).T
-            offset = float(outer.jitter_val)
+            mixing, offset = numbers(outer.lmc_coefficients).T, float(outer.jitter_val)
         else:
             repeats = int(outer.num_tasks)
     kind = type(inner).__name__
@@ -400,6 +396,14 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
             expected="VariationalStrategy or UnwhitenedVariationalStrategy, "
             "alone or inside LMCVariationalStrategy or IndependentMultitaskVariationalStrategy",
         )
+    return inner, mixing, repeats, offset
+
+
+def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
+    """q(u) on inducing points, whitened or not, alone, as a batch of independent outputs, or mixed
+    (LMC)."""
+    inner, mixing, repeats, offset = _strategy(model.variational_strategy)
+    whitened = type(inner).__name__ == "VariationalStrategy"
     covar, mean = _module(model, "covar_module"), _module(model, "mean_module")
     q = inner.variational_distribution
     center, root = numbers(q.mean), _root(q, inner)
@@ -413,7 +417,7 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
         constant, slope = read_mean(_member(mean, j), pick, support.shape[1], "mean_module")
         factor = _factor(base.covariance.matrix(support, support) + added * np.eye(len(support)))
         m, r = pick(center, 1), pick(root, 2)
-        if kind == "UnwhitenedVariationalStrategy":
+        if not whitened:
             m = solve_triangular(factor, m - constant - support @ slope, lower=True)
             r = solve_triangular(factor, r, lower=True)
         inverse = np.tril(solve_triangular(factor, np.eye(len(support)), lower=True))
@@ -427,7 +431,7 @@ def _variational_model(model: Any, likelihood: Any, jitter: float) -> Posterior:
                 uncertain=r.T @ inverse,
                 constant=constant,
                 slope=slope,
-                offset=added if kind == "VariationalStrategy" else 0.0,
+                offset=added if whitened else 0.0,
             )
         )
     if mixing is None:
