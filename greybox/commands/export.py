@@ -6,6 +6,8 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.own_model import model_file_option
+
 TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
 
@@ -36,6 +38,7 @@ def add(commands: Any) -> None:
     )
     p.add_argument("--points", type=int, metavar="M", help="fewer support points for the learned part")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    model_file_option(p)
     p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
     p.add_argument("--json", metavar="FILE", help="write the manifest; - for standard output")
@@ -60,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
-    model = _model(arguments.model, arguments.effects_file)
+    model = _model(arguments)
     judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)
     if not judged.open:
         judged.say("export")
@@ -82,14 +85,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _model(path: str, effects_files: list[str]) -> Any:
+def _model(arguments: argparse.Namespace) -> Any:
     """A model file of any kind that can be exported. Raises `FileFormatError`."""
+    from greybox.commands.own_model import loaded
     from greybox.files import read_json
-    from greybox.model.effects_file import load_effects
     from greybox.model.linear import SCHEMA as LINEAR
     from greybox.model.linear import LinearModel
-    from greybox.residual.files import load_model
 
-    if read_json(path).get("schema") == LINEAR:
-        return LinearModel.load(path)
-    return load_model(path, effects=[e for file in effects_files for e in load_effects(file)])
+    if read_json(arguments.model).get("schema") == LINEAR:
+        return LinearModel.load(arguments.model)
+    return loaded(arguments)

@@ -2,7 +2,8 @@
 and no raw data.
 
 On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings (of a
-model of the user's own, its equations) from which the CasADi expressions are rebuilt exactly, estimates with covariance, noise levels, training
+model of the user's own, its equations) and noise, from which the CasADi expressions are rebuilt
+exactly, estimates with covariance, noise levels, training
 domain, data hash and a checksum.
 """
 
@@ -25,7 +26,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
-from greybox.model.noise import Augmented, Disturbance, with_disturbance
+from greybox.model.noise import Augmented, Disturbance, NoisePart, noise_part, with_parts
 from greybox.model.own_model import own_from_dict, own_to_dict
 from greybox.model.parameter import ParameterValues
 from greybox.model.sensor import Sensor
@@ -153,24 +154,12 @@ class IdentifiedModel:
                 got=type(physics).__name__,
                 fix="write it as a StateSpaceModel, or keep its Python code and save its values",
             )
-        disturbed = [p for p in parts if type(p) is Disturbance]
-        if other := [p.name for p in parts if p not in disturbed]:
-            raise ModelError(
-                "a model file holds white noise of the sensors",
-                got=", ".join(other),
-                fix="fit the model without them",
-            )
-        if len({p.time for p in disturbed}) > 1:
-            raise ModelError(
-                "a model file holds one start value of all correlation times", got=self.name
-            )
         body = {
             "schema": SCHEMA,
             "kind": "own" if isinstance(physics, StateSpaceModel) else "physics",
             "name": self.name,
             **_core_to_dict(physics),
-            "disturbance": [p.group for p in disturbed],
-            "disturbance_time_constant": disturbed[0].time if disturbed else None,
+            "noise_parts": [p.to_dict() for p in parts],
             "sample_time": self.sample_time,
             "values": dict(self.values),
             "units": {d.name: d.unit for d in self.dynamics.parameters},
@@ -256,9 +245,7 @@ class IdentifiedModel:
                 dynamics = own_from_dict(data["own"], where=where)
             else:
                 dynamics = _physics_from_dict(data, effects, sensors, where)
-            if data["disturbance"]:
-                time = float(data["disturbance_time_constant"])
-                dynamics = with_disturbance(dynamics, data["disturbance"], time=time)
+            dynamics = with_parts(dynamics, _noise_parts(data))
             model = IdentifiedModel(
                 dynamics=dynamics,
                 values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
@@ -347,6 +334,16 @@ def _physics_from_dict(
         sample_time=float(data["model_sample_time"]),
         kinematic_noise=bool(data.get("kinematic_noise", False)),
     )
+
+
+def _noise_parts(data: Mapping[str, Any]) -> list[NoisePart]:
+    """The noise that is correlated in time; earlier files named the groups of disturbances and one
+    time of all of them."""
+    if "noise_parts" in data:
+        return [noise_part(record) for record in data["noise_parts"]]
+    groups = data["disturbance"]
+    time = float(data["disturbance_time_constant"]) if groups else 1.0
+    return [Disturbance(group=g, time=time) for g in groups]
 
 
 def _check(model: IdentifiedModel) -> None:

@@ -27,7 +27,8 @@ WORLD = ("position", "velocity")
 def stated_covariances(
     propagator: Propagator, filtered: Filtered, origins: IntArray, *, steps: int, groups: Iterable[str]
 ) -> dict[str, FloatArray]:
-    """Group -> covariance (m, steps, d, d), d its error dimension, of the error of `predict_from` at k+1 .. k+steps from every origin k.
+    """Group -> covariance (m, steps, d, d), d its error dimension, of the error of `predict_from` at k+1 .. k+steps from
+    every origin k.
 
     Origins near the end of the record get NaN: their path leaves it. Raises `FitError` where a prediction is not finite.
     """

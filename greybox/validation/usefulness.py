@@ -149,7 +149,9 @@ def judge(
     imu_only = set(groups) <= {"rate", "specific_force"}
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
-    compared = [_compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups]
+    compared = [
+        _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups
+    ]
     return _conclude(compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
 
 

@@ -144,9 +144,13 @@ class _Work:
             )
         self.rows = {
             label: HorizonAccumulator(
-                label=label, sample_time=dt, steps=self.steps, missing=missing, groups=self.reader.table,
+                label=label,
+                sample_time=dt,
+                steps=self.steps,
+                missing=missing,
+                groups=self.reader.table,
                 block_seconds=2 * self.standard.longest if own else BLOCK_SECONDS,
-            )  # fmt: skip
+            )
             for label in ("model", "measured start", "persistence", "dead reckoning")
         }
         self.one_step = OneStep(dynamics=self.model.dynamics)

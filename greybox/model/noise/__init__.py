@@ -14,6 +14,7 @@ from greybox.model.noise.coloured import Coloured
 from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
+from greybox.model.noise.kinds import KINDS, noise_part
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
 from greybox.model.noise.part import NoisePart, SensorPart
@@ -30,12 +31,10 @@ __all__ = [
     "NoisePart",
     "SensorPart",
     "disturbances",
+    "noise_part",
     "sensor_parts",
     "with_disturbance",
     "with_parts",
     "with_white_sensors",
     "without_parts",
 ]
-
-KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass, Delay)
-"""All kinds of noise part."""

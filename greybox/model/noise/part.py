@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import numpy as np
@@ -50,6 +50,10 @@ class NoisePart(ABC):
     @abstractmethod
     def name(self) -> str:
         """kind.place, the prefix of its parameters."""
+
+    def to_dict(self) -> dict[str, str | float]:
+        """Its kind and the fields of its record, for files (`kinds.noise_part` reads them)."""
+        return {"kind": self.kind, **{f.name: getattr(self, f.name) for f in fields(self)}}  # type: ignore[arg-type]
 
     @abstractmethod
     def place(self, core: Dynamics) -> Place:
