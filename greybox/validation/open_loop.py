@@ -52,7 +52,8 @@ class GroupReader:
         """Groups with a reference among `channels`; the specific force only where no pose is there (IMU-only logs)."""
         have = set(channels)
         there = [g for g in self.groups if have.issuperset(self.table[g].columns)]
-        return tuple(g for g in there if g != "specific_force" or not any(p in there for p in POSE))
+        posed = any(p in there and not self.table[p].own for p in POSE)
+        return tuple(g for g in there if g != "specific_force" or self.table[g].own or not posed)
 
     def state_rows(self, block: str) -> list[int]:
         """Places of a block ("position", "attitude", ...) in the state vector."""
