@@ -30,6 +30,7 @@ _PUBLIC = {
     "Layout": "greybox.symbolic",
     "Signal": "greybox.symbolic",
     "IdentifiedModel": "greybox.model.identified",
+    "load": "greybox.commands.front_door",
     "load_model": "greybox.residual.files",
     "save_model": "greybox.residual.files",
     "learn": "greybox.residual.learn",
@@ -38,6 +39,11 @@ _PUBLIC = {
     "fit": "greybox.automatic",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
+    "fit_linear": "greybox.estimation.linear.fit",
+    "profile": "greybox.commands.front_door",
+    "compare": "greybox.commands.front_door",
+    "export": "greybox.commands.front_door",
+    "load_own_model": "greybox.model.own_model",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
     "GreyboxError": "greybox.errors",
@@ -60,16 +66,22 @@ __all__ = [
     "build_model",
     "check",
     "check_vehicle",
+    "compare",
     "dataset_from_arrays",
     "discover",
+    "export",
     "fit",
+    "fit_linear",
     "fit_report",
     "identify",
     "inspect_log",
     "learn",
+    "load",
     "load_effects",
     "load_model",
+    "load_own_model",
     "plan",
+    "profile",
     "read_log",
     "read_logs",
     "read_vehicle",
@@ -81,6 +93,7 @@ __all__ = [
 if TYPE_CHECKING:
     from greybox.automatic import fit
     from greybox.commands.chain.front_door import identify
+    from greybox.commands.front_door import compare, export, load, profile
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.inspection import inspect_log
@@ -88,10 +101,12 @@ if TYPE_CHECKING:
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import Fit
+    from greybox.estimation.linear.fit import fit_linear
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.model import PhysicsModel, build_model
+    from greybox.model.own_model import load_own_model
     from greybox.model.parameter import Parameter, ParameterValues
     from greybox.model.plausibility import check_vehicle, vehicle_findings
     from greybox.model.vehicle import Vehicle, read_vehicle

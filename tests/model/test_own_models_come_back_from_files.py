@@ -1,6 +1,6 @@
 """Claim: the file of a user's own model holds its equations, so that it is read and used without the program.
 
-The equations come back as the same operations; a program is run only where it is named, and what is wrong with it is one line.
+Equations come back as the same operations; a program is run only where it is named, and what is wrong with it is one line.
 """
 
 from __future__ import annotations

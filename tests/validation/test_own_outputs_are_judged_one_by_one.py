@@ -24,9 +24,8 @@ def fitted() -> gb.Fit:
 
 def renamed(names: dict[str, str], model: gb.StateSpaceModel) -> gb.StateSpaceModel:
     signals = [gb.Signal(name=names[s.name], unit=s.unit) for s in model.outputs]
-    return gb.StateSpaceModel(
-        **{**vars(model), "outputs": gb.Layout(signals), "sensor_sigma": {names[k]: v for k, v in model.sensor_sigma.items()}}
-    )
+    sigma = {names[k]: v for k, v in (model.sensor_sigma or {}).items()}
+    return gb.StateSpaceModel(**{**vars(model), "outputs": gb.Layout(signals), "sensor_sigma": sigma})
 
 
 def test_the_table_has_the_outputs_in_their_units(fitted: gb.Fit) -> None:
