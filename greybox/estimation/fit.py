@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
+from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
@@ -290,7 +291,7 @@ def _finish(
             "the innovations are coloured and the flights too short to correct the errors for it"
         )
     if not problem.engine.compiled:
-        warnings.append("no C compiler was used: CasADi's VM ran the same equations, slower")
+        warnings.append(f"CasADi's VM ran the equations, slower than compiled: {trouble()}")
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
     labels = [_label(problem.unknowns[i]) for i in keep]
     information = marginal_information(data_hessian, keep)

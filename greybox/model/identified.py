@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
@@ -32,7 +33,8 @@ from greybox.model.parameter import ParameterValues
 from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import Verdict
+from greybox.model.verdict import NOT_JUDGED, Verdict
+from greybox.shown import Cell, Shown
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
@@ -45,8 +47,8 @@ longest delay."""
 
 def library_versions() -> dict[str, str]:
     """Versions of greybox and of the libraries that shape a result."""
-    out = {}
-    for name in ("greybox", "casadi", "numpy", "scipy"):
+    out = {"greybox": VERSION}
+    for name in ("casadi", "numpy", "scipy"):
         try:
             out[name] = version(name)
         except PackageNotFoundError:
@@ -54,8 +56,8 @@ def library_versions() -> dict[str, str]:
     return out
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class IdentifiedModel:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifiedModel(Shown):
     """A fitted Dynamics with estimates, their covariance and the noise levels of its filter.
 
     `values` holds every model parameter (per-flight ones at their mean over the training flights),
@@ -87,6 +89,33 @@ class IdentifiedModel:
     trained_on: tuple[str, ...] = ()
     source: str = ""
     verdict: Verdict | None = None
+
+    def _shown_text(self) -> str:
+        """The verdict first, then the model and its values with their standard errors."""
+        first = NOT_JUDGED if self.verdict is None else self.verdict.line
+        trained = ", ".join(self.trained_on) or "nothing that is known"
+        where = f"  {self.sample_time:g} s a step, identified on {trained}"
+        rows = [
+            f"  {r['parameter']} {r['value']:.5g}"
+            + ("" if r["std"] is None else f" +- {r['std']:.2g}")
+            + f" {r['unit']}"
+            for r in self._shown_rows()
+        ]
+        return "\n".join([first, self.name, where, *rows])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per parameter; `std` is None for what was held."""
+        std = dict(zip(self.covariance_names, np.sqrt(np.diag(self.covariance)).tolist()))
+        return [
+            {
+                "parameter": d.name,
+                "value": self.values[d.name],
+                "std": std.get(d.name),
+                "unit": d.unit,
+                "scope": d.scope,
+            }
+            for d in self.dynamics.parameters
+        ]
 
     @property
     def name(self) -> str:

@@ -41,7 +41,7 @@ class _Placed(NamedTuple):
     quantities: slice
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Augmented(Layer):
     """`core` with the noise `parts`. An augmented core gives up its parts: one model, more parts.
 
