@@ -42,7 +42,11 @@ def load(
 
 
 def export(
-    model: IdentifiedModel | LinearModel, folder: str | os.PathLike[str], *, targets: Iterable[str] = ("c", "casadi"), **options: Any
+    model: IdentifiedModel | LinearModel,
+    folder: str | os.PathLike[str],
+    *,
+    targets: Iterable[str] = ("c", "casadi"),
+    **options: Any,
 ) -> ExportBundle:
     """Write a fitted model to `folder` for a controller, as `greybox export` does.
 
@@ -82,10 +86,7 @@ def compare(
         vehicle=vehicle, train=train, test=test, fit=fit or (lambda: automatic(vehicle, train)), adapt=adapt, budget=budget,
         seed=seed, points=points, horizons=tuple(horizons), say=say,
     )  # fmt: skip
-    content: dict[str, Any] = {}
-    for content in run(bench, methods):
-        pass
-    return content
+    return list(run(bench, methods))[-1]
 
 
 def profile(
@@ -93,9 +94,9 @@ def profile(
 ) -> Profile:
     """The profile likelihood of one estimated number of a fit: the others re-optimised along a grid.
 
-    `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has its own value. The interval
-    at `level` ends where the likelihood ratio says so; an end is the bound where the profile reaches that first, and infinite
-    where the data do not end it. Raises `UnknownNameError`.
+    `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has its own value. The
+    interval at `level` ends where the likelihood ratio says so; an end is the bound where the profile reaches that first,
+    and infinite where the data do not end it. Raises `UnknownNameError`.
     """
     from greybox.estimation.profile import profile as along
     from greybox.estimation.solvers import SOLVERS

@@ -25,8 +25,8 @@ def add(subparsers: Any) -> None:
         "profile",
         help="likelihood intervals of single parameters of a fit",
         description="Hold one parameter along a grid, fit all others again, and give the interval in which the likelihood "
-        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak excitation). Writes profile.json and "
-        "report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: bad input.",
+        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak excitation). Writes profile.json "
+        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: bad input.",
     )
     p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, with its fit.json beside it")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
@@ -121,7 +121,8 @@ def _ends(p: Profile, found: Fit) -> list[str]:
 
 def _line(p: Profile, found: Fit) -> str:
     said = [f"{side} end is its bound" for side in _ends(p, found)]
-    said += [f"the data give no {side} end" for side, v in (("lower", p.lower), ("upper", p.upper)) if abs(v) == float("inf")]
+    ends = (("lower", p.lower), ("upper", p.upper))
+    said += [f"the data give no {side} end" for side, v in ends if abs(v) == float("inf")]
     said += ["some grid points did not converge"] if not p.converged.all() else []
     text = f"{p.name}: {p.estimate:.5g} {p.unit}, {100 * p.level:g} % interval {p.lower:.5g} .. {p.upper:.5g}"
     return text + (f" ({'; '.join(said)})" if said else "")

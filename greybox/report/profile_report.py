@@ -27,9 +27,9 @@ def profile_report(content: Mapping[str, Any]) -> str:
         rows.append([p["name"], p["estimate"], _end(p["lower"]), _end(p["upper"]), p["unit"], symmetric, note])
     report.table(
         ["unknown", "estimate", "lower", "upper", "unit", "estimate ± 1.96 std", ""], rows, numeric=(1, 2, 3),
-        caption=f"The {100 * level:g} % interval: values at which twice the negative log likelihood, all other unknowns fitted "
-        "again, lies less than a quantile of chi-square above its minimum. Where it differs from the symmetric one, it is "
-        "the one to believe.",
+        caption=f"The {100 * level:g} % interval: values at which twice the negative log likelihood, all other unknowns "
+        "fitted again, lies less than a quantile of chi-square above its minimum. Where it differs from the symmetric one, "
+        "it is the one to believe.",
     )  # fmt: skip
     limit = float(scipy.stats.chi2.ppf(level, 1))
     panels = []
