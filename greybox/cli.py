@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 COMMANDS = (
     "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
-    "discover", "compare", "export", "mpc", "effects", "cite", "completion",
+    "discover", "compare", "export", "mpc", "profile", "effects", "cite", "completion",
 )  # fmt: skip
 
 
