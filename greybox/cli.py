@@ -81,7 +81,7 @@ class _PlainText:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     out, err = _PlainText(sys.stdout), _PlainText(sys.stderr)
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):  # type: ignore[type-var]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         return _main(argv)
 
 

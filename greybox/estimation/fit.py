@@ -20,6 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
+from greybox.estimation.few_samples import demand_samples, doubt_of_levels
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -82,6 +83,7 @@ def fit(
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
+        demand_samples(problem)
         if first is not None:
             found = {
                 (u.name, u.flight): t
@@ -251,6 +253,9 @@ def _finish(
         held = (low & (g > 0)) | (high & (g < 0))
         spread = covariance(value.hessian, value.scores, precision, held)
         data_hessian = value.data_hessian
+        if not spread.enough:
+            few = doubt_of_levels(problem, theta, spread.fisher, held)
+            spread = replace(spread, fisher=spread.fisher + few)
         if added is not None:
             free_rows = np.where(held, 0.0, 1.0)
             more = added * np.outer(free_rows, free_rows)
