@@ -1,4 +1,4 @@
-"""Every line of C that greybox writes itself compiles without a warning under gcc and clang, and as C++.
+"""Every line of C that greybox writes into an export itself compiles without a warning under gcc and clang, and as C++.
 
 CasADi's own generated functions are excepted (unused parameters, numbers as truth values); they compile
 as C++ all the same.
@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-import greybox.estimation
 from mpc_export.bundle import _kernels
-from mpc_export.c_code import RESTRICT, write_c
+from mpc_export.c_code import RESTRICT, single_precision, write_c
 from mpc_export.c_kernels_products import PRODUCTS
 from mpc_export.c_model import CModel
 from mpc_export.functions import model_functions
@@ -43,8 +42,6 @@ def complaints(source: Path, compiler: tuple[str, ...], *flags: str) -> str:
 @pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_kernels_and_products(functions, tmp_path, real, compiler):
-    from mpc_export.c_code import single_precision
-
     integer = "long long int" if real == "double" else "int"
     parts = [RESTRICT, "#include <math.h>", f"#define casadi_real {real}", f"#define casadi_int {integer}"]
     shared: dict[str, str] = {}
@@ -74,10 +71,3 @@ def test_wrapper_and_self_test(functions, tmp_path, compiler):
 def test_the_whole_export_is_c_and_cpp(functions, tmp_path, compiler):
     made = write_c(list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions))
     assert complaints(made.source, compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter") == ""
-
-
-@pytest.mark.parametrize("compiler", C, ids=lambda c: c[0])
-@pytest.mark.parametrize("name", ["driver.c", "ekf.c"])
-def test_recursions_of_the_estimation(name, compiler):
-    source = Path(greybox.estimation.__file__).parent / name
-    assert complaints(source, (*compiler, "-DLANES=4"), *WARNINGS) == ""
