@@ -20,7 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
-from greybox.estimation.few_samples import demand_samples, doubt_of_levels
+from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -253,9 +253,6 @@ def _finish(
         held = (low & (g > 0)) | (high & (g < 0))
         spread = covariance(value.hessian, value.scores, precision, held)
         data_hessian = value.data_hessian
-        if not spread.enough:
-            few = doubt_of_levels(problem, theta, spread.fisher, held)
-            spread = replace(spread, fisher=spread.fisher + few)
         if added is not None:
             free_rows = np.where(held, 0.0, 1.0)
             more = added * np.outer(free_rows, free_rows)
