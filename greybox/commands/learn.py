@@ -58,9 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import save_model
     from greybox.residual.learn import learn
+    from greybox.residual.train import check_extra
     from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
+    check_extra()
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     points: int | str = arguments.points

@@ -30,7 +30,7 @@ from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
-from greybox.residual.train import train_gp
+from greybox.residual.train import check_extra, train_gp
 from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
@@ -177,6 +177,7 @@ def learn(
         for n in features:
             if n not in there:
                 raise UnknownNameError("feature", n, there)
+    check_extra()
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)

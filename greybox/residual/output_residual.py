@@ -225,8 +225,9 @@ def fit_output_residual(
     (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`. Raises `DataError`, `UnknownNameError`,
     `ModelError`, and `MissingExtraError` without the extra `gp`.
     """
-    from greybox.residual.train import train_gp
+    from greybox.residual.train import check_extra, train_gp
 
+    check_extra()
     began = time.perf_counter()
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     if isinstance(model, BasePredictor):
@@ -277,7 +278,9 @@ def read_linear(
     where = str(path)
     data = read_json(path)
     if data.get("schema") not in LINEAR_SCHEMAS:
-        raise FileFormatError("not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS))
+        raise FileFormatError(
+            "not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS), got=repr(data.get("schema"))
+        )
     parts = data["models"] if data["schema"] == LINEAR_SCHEMAS[1] else [data]
     models = tuple(LinearModel.from_dict(m, where=where) for m in parts)
     told = {s.name: s for s in parse_channels(channels or "", "inputs")}

@@ -8,6 +8,7 @@ a reference, never a measurement. The rows beside each table are persistence (ce
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,6 +17,7 @@ import numpy as np
 from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
+from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
@@ -326,7 +328,8 @@ class _Work:
         return out
 
     def _extrapolation(self, flight: Flight) -> None:
-        """Say where a flight leaves the range that the training flights covered."""
+        """Say where a flight leaves the range that the training flights covered; another place is
+        none, unless something depends on the place."""
         out = []
         for name, (low, high) in self.model.domain.items():
             width = high - low
@@ -335,10 +338,14 @@ class _Work:
                     continue
                 values = segment.channels[name]
                 beyond = np.nanmean((values < low - 0.1 * width) | (values > high + 0.1 * width))
-                if beyond > 0.01:
+                if beyond > 0.01 and name not in self._unfelt_place:
                     out.append(f"{name} ({beyond:.0%})")
         if out:
             self.warnings.append(f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}")
+
+    @functools.cached_property
+    def _unfelt_place(self) -> frozenset[str]:
+        return unfelt_place(self.model.dynamics)
 
     # ------------------------------------------------------------ result
 
