@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterable, Sequence
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from greybox.data.airframe import Airframe
 from greybox.data.checks import (
+    acceleration,
     alignment,
     attitude,
     clock,
@@ -16,6 +18,7 @@ from greybox.data.checks import (
     frozen,
     gaps,
     gravity,
+    kinematics,
     motion,
     motors,
     ranges,
@@ -39,6 +42,15 @@ from greybox.errors import DataError
 
 __all__ = ["CHECKS", "Check", "CheckReport", "Finding", "FlightSummary", "Severity", "Unjudged", "check", "check_logs"]
 
+RELATIONS = (motion.RELATION, attitude.RELATION, acceleration.RELATION)
+"""What kinematics makes equal, each one file."""
+
+KINEMATICS = Check(
+    name="kinematics",
+    question="Do position, velocity, attitude, rates and specific force tell the same story?",
+    run=functools.partial(kinematics.run, relations=RELATIONS),
+)
+
 CHECKS: tuple[Check, ...] = (
     clock.CHECK,
     gaps.CHECK,
@@ -46,10 +58,9 @@ CHECKS: tuple[Check, ...] = (
     ranges.CHECK,
     saturation.CHECK,
     gravity.CHECK,
-    attitude.CHECK,
+    KINEMATICS,
     motors.CHECK,
     alignment.CHECK,
-    motion.CHECK,
     excitation.CHECK,
 )
 """All checks, in the order in which they are made."""
@@ -68,14 +79,14 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
     flights: list[FlightSummary] = []
-    for log in logs:
-        view = View(raw=log, vehicle=vehicle)
-        for one in CHECKS:
-            for outcome in one.run(view):
-                if isinstance(outcome, Finding):
-                    findings.append(outcome)
-                else:
-                    unjudged.append(outcome)
+    views = [View(raw=log, vehicle=vehicle) for log in logs]
+    for one in CHECKS:
+        for outcome in one.run(views):
+            if isinstance(outcome, Finding):
+                findings.append(outcome)
+            else:
+                unjudged.append(outcome)
+    for log, view in zip(logs, views, strict=True):
         flights.append(
             FlightSummary(
                 name=log.flight,

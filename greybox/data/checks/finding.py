@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -44,11 +44,21 @@ Outcome = Finding | Unjudged
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: its name, the question it answers, and the function that answers it for one flight."""
+    """One check: its name, the question it answers, and the function that answers it for the flights of a craft."""
 
     name: str
     question: str
-    run: Callable[[View], Iterable[Outcome]]
+    run: Callable[[Sequence[View]], Iterable[Outcome]]
+
+
+def per_flight(run: Callable[[View], Iterable[Outcome]]) -> Callable[[Sequence[View]], Iterable[Outcome]]:
+    """The check of one flight, made on every flight."""
+
+    def every(views: Sequence[View]) -> Iterable[Outcome]:
+        for view in views:
+            yield from run(view)
+
+    return every
 
 
 @dataclass(frozen=True, kw_only=True)

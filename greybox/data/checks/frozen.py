@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import group_names
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import FloatArray, View
 
 GROUPS = ("rate", "specific_force", "attitude", "position", "velocity")
@@ -68,4 +68,4 @@ def _airborne(view: View, t: float) -> bool:
     return view.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in view.flight.segments)
 
 
-CHECK = Check(name="frozen", question="Does a sensor repeat its last value?", run=run)
+CHECK = Check(name="frozen", question="Does a sensor repeat its last value?", run=per_flight(run))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.torque import Torque, directions, expected_signs, torque_regression
 from greybox.data.checks.view import FloatArray, View
 
@@ -160,5 +160,5 @@ def promised_gain(vehicle: Airframe) -> FloatArray | None:
 
 
 CHECK = Check(
-    name="motors", question="Does every command drive the rotor that the vehicle file says, with its spin?", run=run
+    name="motors", question="Does every command drive the rotor that the vehicle file says, with its spin?", run=per_flight(run)
 )

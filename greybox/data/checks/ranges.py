@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import channel, group_names
-from greybox.data.checks.finding import Check, Finding
+from greybox.data.checks.finding import Check, Finding, per_flight
 from greybox.data.checks.view import View
 
 BLOCKING_SHARE = 0.01
@@ -65,4 +65,4 @@ def run(view: View) -> Iterator[Finding]:
             )
 
 
-CHECK = Check(name="ranges", question="Is every value possible?", run=run)
+CHECK = Check(name="ranges", question="Is every value possible?", run=per_flight(run))

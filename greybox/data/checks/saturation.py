@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import group_names
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import View
 
 SHARE = 0.01
@@ -58,4 +58,4 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 )
 
 
-CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=run)
+CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=per_flight(run))

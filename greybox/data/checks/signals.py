@@ -35,6 +35,42 @@ def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
     return out
 
 
+def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
+    """Integral over n samples from each on, (N - n, k); missing where one of them is."""
+    steps = 0.5 * (values[1:] + values[:-1]) * dt
+    there = np.isfinite(steps).all(axis=1)
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)])
+    lost = np.concatenate([[0], np.cumsum(~there)])
+    out = total[n:] - total[:-n]
+    out[lost[n:] != lost[:-n]] = np.nan
+    return out
+
+
+def turned(how: str, quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (N, 3) through `rotate` (body to world) or `rotate_inverse` of quaternions (N, 4)."""
+    out = np.full_like(vectors, np.nan)
+    known = np.isfinite(quaternions).all(axis=1) & np.isfinite(vectors).all(axis=1)
+    if known.any():
+        out[known] = numeric(how, quaternions[known], vectors[known])
+    return out
+
+
+def turns(quaternions: FloatArray, n: int) -> FloatArray:
+    """Rotation vector (N - n, 3) [rad] in body axes over n samples from each on, of quaternions (N, 4)."""
+    out = np.full((max(quaternions.shape[0] - n, 0), 3), np.nan)
+    before, after = quaternions[:-n], quaternions[n:]
+    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    if known.any():
+        out[known] = numeric("difference", before[known], after[known])
+    return out
+
+
+def centred(values: FloatArray) -> FloatArray:
+    """Columns (N, k) without their means."""
+    known = np.isfinite(values).all(axis=1)
+    return values - values[known].mean(axis=0) if known.any() else values
+
+
 def shifted(values: FloatArray, rows: int) -> FloatArray:
     """out[k] = values[k - rows]: positive = later; missing at the rim."""
     out = np.full_like(values, np.nan)
@@ -53,12 +89,8 @@ def shifted(values: FloatArray, rows: int) -> FloatArray:
 def attitude_rate(quaternions: FloatArray, dt: float, half: int) -> FloatArray:
     """Body rate (N, 3) [rad/s] from quaternions (N, 4): the turn over 2 half samples, divided by its time."""
     out = np.full((quaternions.shape[0], 3), np.nan)
-    before, after = quaternions[: -2 * half], quaternions[2 * half :]
-    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
-    if known.any():
-        inner = np.full((before.shape[0], 3), np.nan)
-        inner[known] = numeric("difference", before[known], after[known]) / (2 * half * dt)
-        out[half:-half] = inner
+    if quaternions.shape[0] > 2 * half:
+        out[half:-half] = turns(quaternions, 2 * half) / (2 * half * dt)
     return out
 
 
