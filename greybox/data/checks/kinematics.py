@@ -15,6 +15,7 @@ import numpy as np
 from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
 from greybox.data.checks.relations import (
     SEEN,
+    WHOLE,
     Better,
     Factor,
     Moments,
@@ -23,7 +24,6 @@ from greybox.data.checks.relations import (
     factor,
     far_better,
     joined,
-    lead,
     moments,
 )
 from greybox.data.checks.view import View
@@ -96,13 +96,15 @@ def related(relation: Relation, view: View) -> Related | str:
     size = float(np.sqrt((y**2).sum(axis=1).mean())) if y.size else 0.0
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
-    sums = []
+    sums: list[tuple[str, str, Moments]] = []
     for reading in streams.readings:
+        if sums and _share(sums[0][2]) > WHOLE:
+            break
         found = moments(reading, view.dt, streams.span, REACH)
         if found is not None:
             sums.append((reading.text, reading.fix, found))
-    if not sums or sums[0][0]:
-        return "too short"
+        elif not sums:
+            return "too short"
     prompt = moments(first, view.dt, streams.span, 0.0)
     return Related(streams=streams, sums=tuple(sums), prompt=prompt, size=size, sample=view.dt)
 
@@ -267,8 +269,8 @@ def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
     late = found.given.lag
     if found.prompt is None or abs(late) < max(LATE, 2.0 * found.sample):
         return
-    more, less, error = lead(found.given, found.prompt)
-    if not far_better(more, less, error):
+    shares = far_better(found.given, found.prompt)
+    if shares is None:
         return
     first, _, second = relation.streams.partition(" and ")
     yield Finding(
@@ -277,6 +279,6 @@ def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
         flight=flight,
         where=found.streams.where or relation.where,
         message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against {second}",
-        evidence={"delay_s": late, "share_explained": more, "share_as_given": less},
+        evidence={"delay_s": late, "share_explained": shares[0], "share_as_given": shares[1]},
         fix="log all streams with one clock, stamped at the source; or shift one of them",
     )

@@ -24,10 +24,14 @@ BLOCK = 2.0
 FEWEST_BLOCKS = 5
 LAG_STEP = 0.01
 """Steps of the lags that are tried [s]."""
-CLEAR = 4.0
-"""Standard errors by which another reading must be better than the one given ..."""
 LEFT = 0.7
-"""... and the share that it may leave unexplained, of what the one given leaves."""
+"""What another reading may leave unexplained, as a share of what the one given leaves ..."""
+CLEAR = 3.0
+"""... below which it must be by this many standard errors."""
+LEAST = 1e-4
+"""Shares that are left below this are rounding."""
+WHOLE = 0.995
+"""Where the reading given explains this much no other is looked for."""
 SEEN = 0.25
 """A reading must explain this share of the motion."""
 RATIO = 1.05
@@ -177,18 +181,28 @@ def _jackknife(values: FloatArray) -> float:
 EYE = np.eye(3)
 
 
-def lead(
+def far_better(
     better: Moments, given: Moments, turn: Matrix = EYE, rows: Sequence[int] = (0, 1, 2)
-) -> tuple[float, float, float]:
-    """(share that `better` explains when turned, that `given` explains, standard error of their difference)."""
-    more, less = float(better.total().share(turn, rows)[0]), float(given.total().share(EYE, rows)[0])
-    one, other = better.left_out().share(turn, rows), given.left_out().share(EYE, rows)
-    return more, less, _jackknife(one - other) if one.shape == other.shape else float("inf")
+) -> tuple[float, float] | None:
+    """(share that `better` explains when turned, share that `given` explains), where the first is
+    clearly and far better; None where it is not.
 
+    What the one leaves over what the other leaves must be below `LEFT` by `CLEAR` standard errors
+    of its logarithm.
+    """
+    if better.blocks != given.blocks:
+        return None
 
-def far_better(more: float, less: float, error: float) -> bool:
-    """Whether a reading explains the motion clearly and far better than the one given."""
-    return more > SEEN and 1.0 - more < LEFT * (1.0 - less) and more - less > CLEAR * error
+    def left(one: Moments, other: Moments) -> FloatArray:
+        return np.log((1.0 - one.share(turn, rows) + LEAST) / (1.0 - other.share(EYE, rows) + LEAST))
+
+    more, less = better.total(), given.total()
+    share = float(more.share(turn, rows)[0]), float(less.share(EYE, rows)[0])
+    ratio = float(left(more, less)[0])
+    if share[0] < SEEN or ratio > np.log(LEFT):
+        return None
+    error = _jackknife(left(better.left_out(), given.left_out()))
+    return share if ratio + CLEAR * error < np.log(LEFT) else None
 
 
 def better_reading(
@@ -200,20 +214,20 @@ def better_reading(
     that explain about the same the simplest is taken: another frame, then the fewest axes.
     """
     given = readings[0][2]
+    share = float(given.total().share(EYE)[0])
     every = (0, 1, 2)
     tried = [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
     tried += [(t.format(*names), fix, given, m, rows, len(rows)) for t, m, rows in axis_readings()]
     good = []
     for text, how, sums, turn, rows, rank in tried:
-        more, less, error = lead(sums, given, turn, rows)
-        if far_better(more, less, error):
-            whole = lead(sums, given, turn)
-            good.append((Better(text=text, fix=how, share=whole[0], given_share=whole[1]), rank, whole[2]))
+        if far_better(sums, given, turn, rows) is not None:
+            whole = float(sums.total().share(turn)[0])
+            good.append((rank, Better(text=text, fix=how, share=whole, given_share=share)))
     turned = _turned(given, names, fix)
     if not good:
         return turned
-    most = max(b.share for b, _, _ in good)
-    alike = [(rank, -b.share, b) for b, rank, error in good if b.share > most - 2.0 * error - 0.01 * most]
+    most = max(b.share for _, b in good)
+    alike = [(rank, -b.share, b) for rank, b in good if 1.0 - b.share < (1.0 - most) / LEFT + 0.01]
     best = min(alike, key=lambda c: c[:2])[2]
     return turned if turned is not None and 1.0 - turned.share < LEFT * (1.0 - most) else best
 
@@ -221,7 +235,7 @@ def better_reading(
 def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | None:
     """A rotation by an angle that is clear of what mounts and noise make; None where there is none."""
     turn = sums.total().rotation()
-    more, less, _ = lead(sums, sums, turn)
+    more, less = (float(sums.total().share(m)[0]) for m in (turn, EYE))
     if more < SEEN:
         return None
     vector = _vector(turn)

@@ -6,7 +6,7 @@ of the craft (drag), whose moment would otherwise be read as a property of the r
 
 from __future__ import annotations
 
-import functools
+import weakref
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,9 +59,17 @@ def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(x / scale, y, rcond=1e-2)[0] / scale[:, None], dtype=np.float64)
 
 
-@functools.lru_cache(maxsize=2)
+_KNOWN: weakref.WeakKeyDictionary[View, Torque | None] = weakref.WeakKeyDictionary()
+
+
 def torque_regression(view: View) -> Torque | None:
     """The regression over the airborne part; None where fewer than 200 samples are complete."""
+    if view not in _KNOWN:
+        _KNOWN[view] = _regression(view)
+    return _KNOWN[view]
+
+
+def _regression(view: View) -> Torque | None:
     dt = view.dt
     half = max(1, round(HALF_WINDOW / dt))
     rate = view.group("rate")
