@@ -18,6 +18,7 @@ from greybox.data.checks import (
     frozen,
     gaps,
     gravity,
+    jumps,
     kinematics,
     motion,
     motors,
@@ -53,6 +54,7 @@ KINEMATICS = Check(
 
 CHECKS: tuple[Check, ...] = (
     clock.CHECK,
+    jumps.CHECK,
     gaps.CHECK,
     frozen.CHECK,
     ranges.CHECK,
