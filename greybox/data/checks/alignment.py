@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
-from greybox.data.checks.signals import attitude_rate, best_lag, correlation, shifted, smoothed
+from greybox.data.checks.signals import attitude_rate, best_lag, correlation, peak, shifted, smoothed, windowed
 from greybox.data.checks.torque import torque_regression
 from greybox.data.checks.view import FloatArray, View
 
@@ -58,14 +58,15 @@ def window_offsets(view: View) -> FloatArray:
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
     lags = np.arange(-reach, reach + 1)
+    starts = np.arange(0, max(rate.shape[0] - length, 0) + 1, max(length // 2, 1))
+    there = np.concatenate([[0], np.cumsum(np.isfinite(rate).all(axis=1))])
+    starts = starts[starts + length <= rate.shape[0]]
+    starts = starts[there[starts + length] - there[starts] >= 0.8 * length]
     out = []
-    for start in range(0, max(rate.shape[0] - length, 0) + 1, max(length // 2, 1)):
-        rows = slice(start, start + length)
-        if np.isfinite(rate[rows]).all(axis=1).mean() < 0.8:
-            continue
-        lag, peak = best_lag(gyro[rows], rate[rows], lags)
-        if peak >= CREDIBLE and abs(lag) < reach:
-            out.append((float(np.nanmean(time[rows])), lag, peak))
+    for start, scores in zip(starts, windowed(gyro, rate, lags, starts, length), strict=True):
+        lag, top = peak(scores, lags)
+        if top >= CREDIBLE and abs(lag) < reach:
+            out.append((float(np.nanmean(time[start : start + length])), lag, top))
     return np.array(out).reshape(-1, 3)
 
 

@@ -8,6 +8,7 @@ none. Steps are compared with the usual ones of the flight.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -52,7 +53,10 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     if view.flight is None:
         yield Unjudged(check="jumps", flight=view.name, reason="no airborne stretch on a usable clock")
         return
-    yield from _repeated(view)
+    repeated = list(_repeated(view))
+    if repeated:
+        yield from repeated
+        return
     groups = [g for g in SMOOTH if view.has(g)]
     if not groups:
         yield Unjudged(check="jumps", flight=view.name, reason="no position, velocity or attitude")
@@ -113,7 +117,7 @@ def _repeated(view: View) -> Iterator[Finding]:
     back = np.arange(log.n) - first[which]  # how many rows ago it was there for the first time
     least = max(10, round(TWICE * view.rate))
     edges = np.flatnonzero(np.diff(back, prepend=-1, append=-1) != 0)
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in itertools.pairwise(edges):
         if b - a < least or back[a] == 0 or np.unique(which[a:b]).size < least:
             continue
         yield Finding(

@@ -118,7 +118,7 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
     lags = step * np.arange(-(most // step), most // step + 1)
     rows = np.arange(most, n - most, max(1, span // 8))
     rows = rows[np.isfinite(reading.y[rows]).all(axis=1)]
-    there = np.isfinite(reading.x).all(axis=1)
+    there = np.asarray(np.isfinite(reading.x).all(axis=1))
     rows = rows[there[rows[:, None] - lags].all(axis=1)]
     if rows.size < 20:
         return None
@@ -173,12 +173,13 @@ class Better:
         return self.angle == 0.0 or self.angle - 2.0 * self.angle_error > ANGLES[1]
 
 
-def _jackknife(values: FloatArray) -> float:
+def jackknife(values: FloatArray) -> float:
+    """Standard error of an estimate from its values (B, ...) with one block left out each."""
     n = values.shape[0]
     return float(np.sqrt((n - 1.0) / n * ((values - values.mean(axis=0)) ** 2).sum()))
 
 
-EYE = np.eye(3)
+EYE: Matrix = np.eye(3)
 
 
 def far_better(
@@ -201,7 +202,7 @@ def far_better(
     ratio = float(left(more, less)[0])
     if share[0] < SEEN or ratio > np.log(LEFT):
         return None
-    error = _jackknife(left(better.left_out(), given.left_out()))
+    error = jackknife(left(better.left_out(), given.left_out()))
     return share if ratio + CLEAR * error < np.log(LEFT) else None
 
 
@@ -215,8 +216,8 @@ def better_reading(
     """
     given = readings[0][2]
     share = float(given.total().share(EYE)[0])
-    every = (0, 1, 2)
-    tried = [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
+    every: tuple[int, ...] = (0, 1, 2)
+    tried: list[tuple[str, str, Moments, Matrix, tuple[int, ...], int]] = [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
     tried += [(t.format(*names), fix, given, m, rows, len(rows)) for t, m, rows in axis_readings()]
     good = []
     for text, how, sums, turn, rows, rank in tried:
@@ -246,7 +247,7 @@ def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | No
             for i in range(sums.blocks)
         ]
     )
-    angle, error = float(np.degrees(np.linalg.norm(vector))), float(np.degrees(_jackknife(others)))
+    angle, error = float(np.degrees(np.linalg.norm(vector))), float(np.degrees(jackknife(others)))
     if angle - 2.0 * error < ANGLES[0] or angle < CLEAR * error:
         return None
     axis = vector / np.linalg.norm(vector)
@@ -304,7 +305,7 @@ def factor(sums: Moments, axes: Sequence[int] = (0, 1, 2)) -> Factor | None:
     first, second = (float(v[0]) for v in sizes(sums.total()))
     if second - first > -np.log(SEEN):
         return None
-    errors = [_jackknife(v) for v in sizes(sums.left_out())]
+    errors = [jackknife(v) for v in sizes(sums.left_out())]
     return Factor(
         value=float(np.exp(0.5 * (first + second))),
         low=float(np.exp(first - 3.0 * errors[0])),

@@ -38,7 +38,7 @@ def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
 def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
     """Integral over n samples from each on, (N - n, k); missing where one of them is."""
     steps = 0.5 * (values[1:] + values[:-1]) * dt
-    there = np.isfinite(steps).all(axis=1)
+    there = np.asarray(np.isfinite(steps).all(axis=1))
     total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)])
     lost = np.concatenate([[0], np.cumsum(~there)])
     out = total[n:] - total[:-n]
@@ -119,6 +119,28 @@ def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> Float
     return out
 
 
+def windowed(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64], starts: npt.NDArray[np.int64], length: int) -> FloatArray:
+    """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each lag, in windows of
+    `length` rows from `starts` (W,) on. Zero where too little is known."""
+    out = np.zeros((starts.size, lags.size))
+    ends = starts + length
+    for i, lag in enumerate(lags.tolist()):
+        x, y = a, shifted(b, lag)
+        known = np.asarray(np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1))[:, None]
+        x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
+        k = x.shape[1]
+        columns = np.hstack([known, x, y, x * x, y * y, x * y])
+        total = np.vstack([np.zeros((1, 1 + 5 * k)), np.cumsum(columns, axis=0)])
+        sums = total[ends] - total[starts]
+        count = np.maximum(sums[:, :1], 1.0)
+        sx, sy, xx, yy, xy = (sums[:, 1 + j * k : 1 + (j + 1) * k] for j in range(5))
+        product = (xy - sx * sy / count).sum(axis=1)
+        size = np.sqrt(np.maximum((xx - sx**2 / count).sum(axis=1) * (yy - sy**2 / count).sum(axis=1), 0.0))
+        enough = (sums[:, 0] >= MINIMUM) & (size > 0)
+        out[enough, i] = product[enough] / size[enough]
+    return out
+
+
 def correlation(a: FloatArray, b: FloatArray) -> float:
     """Correlation of all columns together, (N, k) each, means removed per column; 0 where too little is known."""
     return float(np.trace(products(a, b, np.zeros(1, dtype=np.int64))[0]))
@@ -126,12 +148,16 @@ def correlation(a: FloatArray, b: FloatArray) -> float:
 
 def best_lag(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
     """(lag in samples, correlation) at which b, moved later by the lag, is most like a; the lag between samples too."""
-    scores = np.trace(products(a, b, lags), axis1=1, axis2=2)
+    return peak(np.trace(products(a, b, lags), axis1=1, axis2=2), lags)
+
+
+def peak(scores: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """(lag, also between the ones tried, score there) of the highest of the scores (L,)."""
     i = int(np.argmax(scores))
-    lag, peak = float(lags[i]), float(scores[i])
+    lag, top = float(lags[i]), float(scores[i])
     if 0 < i < len(lags) - 1:
         left, right = scores[i - 1], scores[i + 1]
-        bend = left - 2 * peak + right
+        bend = left - 2 * top + right
         if bend < 0:
             lag += 0.5 * float((left - right) / bend)
-    return lag, peak
+    return lag, top
