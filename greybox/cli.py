@@ -20,9 +20,9 @@ COMMANDS = (
 
 
 def _version() -> str:
-    from importlib.metadata import version
+    from greybox.distribution import VERSION
 
-    return f"greybox {version('greybox')}"
+    return f"greybox {VERSION}"
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -60,8 +60,16 @@ def _hush(arguments: argparse.Namespace) -> Iterator[None]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    from greybox.distribution import NAME, other_greybox
     from greybox.errors import GreyboxError
     from greybox.interrupts import kept_interrupts
+
+    if (other := other_greybox()) is not None:
+        print(
+            f"greybox: this environment also holds another package called greybox ({other}), which puts its files into the "
+            f"same folder. Usual fix: pip uninstall greybox && pip install --force-reinstall {NAME}",
+            file=sys.stderr,
+        )
 
     try:
         arguments = build_parser().parse_args(argv)

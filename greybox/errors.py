@@ -13,6 +13,13 @@ LONGEST_LINE = 1500
 """Characters of a message; what is longer quotes a file that is not what it should be, and loses its middle."""
 
 
+def printable(text: str) -> str:
+    """On one line, with escapes for what a terminal would act on: names and paths may hold anything."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class GreyboxError(Exception):
     """Base of all errors that greybox raises on purpose. `str(error)` is one line for a person.
 
@@ -36,9 +43,7 @@ class GreyboxError(Exception):
         line = "; ".join(parts)
         if fix:
             line += f". Usual fix: {fix}"
-        line = " ".join(line.split())
-        if not line.isprintable():
-            line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+        line = printable(" ".join(line.split()))
         if len(line) > LONGEST_LINE:
             line = f"{line[:LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3:]}"
         self.line = line

@@ -9,7 +9,7 @@
     LICENSES/         of everything inside
 
 A bundle is written beside its place and then moved there; an existing folder is replaced only when it is a bundle too. The
-same model with the same options comes from a cache (`greybox.estimation.build.cache_dir`), whose key covers the code.
+same model with the same options comes from a cache (`greybox.estimation.cache`), whose key covers the code.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
-from greybox.estimation.build import cache_dir
+from greybox.estimation.cache import cache_root
 from greybox.files import OutputError, checksum, file_sha256, read_json, to_plain, write_atomic, write_json
 from greybox.model.dynamics import Dynamics
 from greybox.model.effects_file import own_effects
@@ -44,6 +44,7 @@ from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
+from greybox.shown import Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import gp_kernels
 from mpc_export.c_model import CModel, check_name
@@ -63,8 +64,8 @@ KEPT = 16
 """Bundles that the cache keeps."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExportBundle:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ExportBundle(Shown):
     """A bundle on disk; `source` builds the functions of the model that it was written from."""
 
     folder: Path
@@ -78,6 +79,12 @@ class ExportBundle:
         if self.source is None:
             raise ModelError(f"{self.folder} was loaded, its model is not at hand", fix="use rebuild() and manifest")
         return self.source()
+
+    def _shown_text(self) -> str:
+        """Name and folder, then its functions."""
+        functions = [str(f["name"]) for f in self.manifest["functions"]]
+        first = f"{self.name}: bundle of {len(functions)} functions in {self.folder}"
+        return "\n".join([first, f"  {', '.join(functions)}", f"  {len(self.manifest['files'])} files"])
 
     @property
     def name(self) -> str:
@@ -325,7 +332,7 @@ def _has_unknown_code(model: IdentifiedModel | LinearModel) -> bool:
 
 
 def _from_cache(key: str, place: Path) -> ExportBundle | None:
-    kept = cache_dir().parent / "export" / key
+    kept = cache_root() / "export" / key
     if not is_bundle(kept):
         return None
     try:
@@ -341,7 +348,7 @@ def _from_cache(key: str, place: Path) -> ExportBundle | None:
 
 def _into_cache(key: str, part: Path) -> None:
     """A cache that cannot be written is no reason to fail."""
-    store = cache_dir().parent / "export"
+    store = cache_root() / "export"
     with contextlib.suppress(OSError):
         store.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=store, prefix=".part-") as folder:

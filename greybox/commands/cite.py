@@ -97,7 +97,8 @@ def works(model: Mapping[str, Any], *, where: str = "model") -> tuple[Work, ...]
     if not (isinstance(effects, list) and all(isinstance(e, str) for e in effects)):
         raise FileFormatError("effects is not a list of names", where=where, fix="write the file again")
     found = [Work(reason="prediction error method", text=PREDICTION_ERROR), Work(reason="framework", text=HYBRID)]
-    if model.get("disturbance"):
+    parts = model.get("noise_parts", [])
+    if model.get("disturbance") or any(p.get("kind") == "disturbance" for p in parts):
         found.append(Work(reason="disturbance states", text=DISTURBANCE))
     own = model.get("own_effects", {})
     for e in effects:

@@ -27,13 +27,14 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the script. Returns 0. Raises `MissingExtraError` without shtab."""
     from greybox.cli import build_parser
+    from greybox.distribution import install_line
     from greybox.errors import MissingExtraError
 
     try:
         import shtab
     except ImportError:
         raise MissingExtraError(
-            "a completion script needs shtab, which is not installed", fix="pip install greybox[completion]"
+            "a completion script needs shtab, which is not installed", fix=install_line("completion")
         ) from None
     sys.stdout.write(shtab.complete(build_parser(), shell=arguments.shell) + "\n")
     return 0

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 
 
@@ -24,7 +25,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
@@ -47,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import is_linear, run_output
     from greybox.data import Dataset
-    from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
@@ -76,13 +76,17 @@ def run(arguments: argparse.Namespace) -> int:
     if is_linear(arguments.model):
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
+        if arguments.keep_impossible:
+            raise GreyboxError(
+                "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
+            )
         return run_output(arguments)
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
     rate = 1.0 / model.sample_time
-    train = read_logs(arguments.train, model.physics.vehicle, rate=rate, mapping=arguments.mapping)
+    train = read_flight_logs(arguments, arguments.train, model.physics.vehicle, rate=rate)
     test = (
-        read_logs(arguments.test, model.physics.vehicle, rate=rate, mapping=arguments.mapping)
+        read_flight_logs(arguments, arguments.test, model.physics.vehicle, rate=rate)
         if arguments.test
         else Dataset(flights=())
     )

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.errors import DataError
 
@@ -21,7 +22,7 @@ def add(commands: Any) -> None:
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
     p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     horizon_options(p)
     p.add_argument(
         "--adapt", type=float, metavar="S", help="fit per-flight parameters on the first S seconds of each flight"
@@ -43,7 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
     horizons = given_horizons(arguments)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
-    from greybox.data.logs import read_logs
     from greybox.files import dump_json, write_json
     from greybox.model.effects_file import load_effects
     from greybox.residual.files import load_model
@@ -51,10 +51,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
-    dataset = read_logs(
-        arguments.log, model.physics.vehicle, rate=arguments.rate or 1.0 / model.sample_time,
-        trim=not arguments.keep_ground, mapping=arguments.mapping,
-    )  # fmt: skip
+    dataset = read_flight_logs(
+        arguments,
+        arguments.log,
+        model.physics.vehicle,
+        rate=arguments.rate or 1.0 / model.sample_time,
+        trim=not arguments.keep_ground,
+    )
     result = validate(
         model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
         progress=lambda line: print(line, file=sys.stderr, flush=True) if sys.stderr.isatty() else None,

@@ -5,11 +5,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+import numpy as np
 import numpy.typing as npt
 
+from greybox.data.channel import channel, is_canonical
+from greybox.data.raw import Removed
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
+from greybox.plots import Curve, panels
+from greybox.shown import Cell, Shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,8 +26,9 @@ class Flight:
     """One flight (one log): its segments in order of time and where they came from.
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
-    conditioning did, `noncausal` are channels whose values were smoothed with later samples. Raises `DataError` where
-    there is no segment or the sample times differ.
+    conditioning did, `removed` which samples were taken as missing because no craft can have made them, `noncausal` are
+    channels whose values were smoothed with later samples. Raises `DataError` where there is no segment or the sample
+    times differ.
     """
 
     name: str
@@ -27,6 +37,7 @@ class Flight:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     noncausal: frozenset[str] = frozenset()
+    removed: tuple[Removed, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -74,8 +85,8 @@ class Flight:
         return f"Flight({self.name}, {len(self.segments)} segment(s), {self.n} samples of {self.dt:g} s)"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Dataset:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Dataset(Shown):
     """Several flights. Immutable; flight names are unique (`DataError` otherwise)."""
 
     flights: tuple[Flight, ...]
@@ -136,6 +147,11 @@ class Dataset:
         return {f.name: f.notes for f in self.flights}
 
     @property
+    def removed(self) -> tuple[Removed, ...]:
+        """Samples of all flights that were taken as missing because no craft can have made them."""
+        return tuple(r for f in self.flights for r in f.removed)
+
+    @property
     def hash(self) -> str:
         """SHA-256 of names, times and channel values (not of file paths, notes or extra columns)."""
         digest = hashlib.sha256()
@@ -175,8 +191,48 @@ class Dataset:
                     side.append(part)
         return Dataset(flights=tuple(parts[0])), Dataset(flights=tuple(parts[1]))
 
-    def __repr__(self) -> str:
-        return f"Dataset({len(self.flights)} flights, {sum(f.n for f in self.flights)} samples)"
+    def _shown_text(self) -> str:
+        """One line for all flights, one for each."""
+        count = len(self.flights)
+        lines = [f"Dataset: {count} flight{'s' * (count != 1)}, {sum(f.n for f in self.flights)} samples"]
+        lines += [
+            f"  {f.name}: {f.duration:.4g} s at {1.0 / f.dt:.4g} Hz, {', '.join(f.channels)}" for f in self.flights
+        ]
+        return "\n".join(lines)
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per flight."""
+        return [
+            {
+                "flight": f.name, "seconds": f.duration, "rate [Hz]": 1.0 / f.dt, "samples": f.n,
+                "segments": len(f.segments), "channels": ", ".join(f.channels),
+            }
+            for f in self.flights
+        ]  # fmt: skip
+
+    def plot(
+        self, channels: Sequence[str] | None = None, *, flight: str | None = None, ax: Sequence[Axes] | None = None
+    ) -> list[Axes]:
+        """Channels over time, one panel per unit, of one flight (the first one); matplotlib axes.
+
+        Raises `UnknownNameError` for a flight or channel that is not there.
+        """
+        shown = self[self.names[0] if flight is None else flight]
+        rows: dict[str, list[Curve]] = {}
+        for name in shown.channels if channels is None else channels:
+            # Segments are drawn apart: a row of NaN between them.
+            parts = [np.vstack([np.column_stack([s.t, s.column(name)]), [np.nan, np.nan]]) for s in shown.segments]
+            xy = np.vstack(parts)
+            rows.setdefault(_panel(name), []).append(Curve(label=name, x=xy[:, 0], y=xy[:, 1]))
+        return panels(rows, x="t [s]", ax=ax)
+
+
+def _panel(name: str) -> str:
+    """Label of the panel that a channel is drawn in: its group and unit."""
+    if not is_canonical(name):
+        return name
+    declared = channel(name)
+    return f"{declared.group.replace('_', ' ')} [{declared.unit}]"
 
 
 def _bytes(values: npt.NDArray) -> bytes:
@@ -189,7 +245,8 @@ def dataset_from_arrays(
     """A data set of one flight from arrays: `t` (N,) uniform [s], `channels` name -> (N,), NaN = missing.
 
     >>> dataset_from_arrays([0.0, 0.01, 0.02], {"p": [0.1, float("nan"), 0.3]}, name="bench")
-    Dataset(1 flights, 3 samples)
+    Dataset: 1 flight, 3 samples
+      bench: 0.03 s at 100 Hz, p
     """
     segment = Segment(t=t, channels=channels, flight=name)  # type: ignore[arg-type]
     return Dataset(flights=(Flight(name=name, segments=(segment,), notes=tuple(notes)),))

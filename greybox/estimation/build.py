@@ -1,22 +1,27 @@
 """Compile generated C into a shared library, once per content: the build cache.
 
-The key is the SHA-256 of sources, flags and compiler version, so that a cached library is never stale. The cache lives
-in $GREYBOX_CACHE, else $XDG_CACHE_HOME/greybox, else ~/.cache/greybox; where that cannot be written a temporary folder
-serves. Without a C compiler (or with GREYBOX_COMPILER=none) `compiler()` is None and callers use CasADi's VM.
+The key is the SHA-256 of sources, flags, compiler version and, with -march=native, the processor, so that a cached library
+is never stale; `cache` says where it lives and when it is believed. Without a C compiler (or with GREYBOX_COMPILER=none)
+`compiler()` is None and callers use CasADi's VM, as they do with one that fails: `opened`.
 """
 
 from __future__ import annotations
 
+import ctypes
 import functools
-import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from greybox.errors import GreyboxError
+from greybox.estimation.cache import cache_dir, find, keep, key_of, say
+
+Source = tuple[str, str, Sequence[str]]
+"""File name, C text, flags of the compiler."""
 
 MODEL_FLAGS = ("-O1", "-fPIC", "-w")
 """Straight-line generated code: -O1 is about as fast as -O2 and compiles several times quicker."""
@@ -44,47 +49,41 @@ def compiler() -> str | None:
 
 @functools.cache
 def _version(path: str) -> str:
-    done = subprocess.run([path, "--version"], capture_output=True, text=True, check=False)
-    return done.stdout.splitlines()[0] if done.stdout else path
+    done = subprocess.run([path, "--version"], capture_output=True, check=False)
+    return done.stdout.decode(errors="replace").splitlines()[0] if done.stdout else path
 
 
 @functools.cache
-def cache_dir() -> Path:
-    """Folder of built libraries; made when it is not there."""
-    for base in (
-        os.environ.get("GREYBOX_CACHE"),
-        os.path.join(os.environ["XDG_CACHE_HOME"], "greybox") if os.environ.get("XDG_CACHE_HOME") else None,
-        os.path.join(os.path.expanduser("~"), ".cache", "greybox"),
-    ):
-        if base:
-            try:
-                path = Path(base) / "build"
-                path.mkdir(parents=True, exist_ok=True)
-                with tempfile.TemporaryFile(dir=path):
-                    return path
-            except OSError:
-                continue
-    return Path(tempfile.mkdtemp(prefix="greybox-build-"))
+def _processor(cc: str) -> str:
+    """What -march=native stands for here: the processor's instructions, as the compiler's macros. A
+    cache may travel with a home or an image to a machine that lacks some."""
+    done = subprocess.run(
+        [cc, "-march=native", "-dM", "-E", "-x", "c", os.devnull],
+        capture_output=True,
+        check=False,
+    )
+    return done.stdout.decode(errors="replace") if done.returncode == 0 else f"{platform.machine()} {platform.processor()}"
 
 
-def _object(cc: str, name: str, text: str, flags: Sequence[str]) -> Path:
-    """Where the object file of one source is kept."""
-    digest = hashlib.sha256(f"{_version(cc)}\0{name}\0{' '.join(flags)}\0{text}".encode())
-    return cache_dir() / f"{digest.hexdigest()}.o"
+def _compiled_for(cc: str, flags: Iterable[str]) -> str:
+    """What the result depends on besides sources and flags."""
+    return _version(cc) + (_processor(cc) if "-march=native" in flags else "")
 
 
-def _library(cc: str, sources: Sequence[tuple[str, str, Sequence[str]]], link: Sequence[str]) -> Path:
-    """Where the library of these sources is kept."""
-    digest = hashlib.sha256(_version(cc).encode())
-    for name, text, flags in sources:
-        digest.update(f"\0{name}\0{' '.join(flags)}\0{text}".encode())
-    if link:
-        digest.update(f"\0{' '.join(link)}".encode())
-    return cache_dir() / f"{digest.hexdigest()}.so"
+def _object(cc: str, name: str, text: str, flags: Sequence[str]) -> str:
+    """Key of the object file of one source."""
+    return key_of(_compiled_for(cc, flags), name, " ".join(flags), text)
+
+
+def _library(cc: str, sources: Sequence[Source], link: Sequence[str]) -> str:
+    """Key of the library of these sources."""
+    every = {flag for _, _, flags in sources for flag in flags}
+    parts = [part for name, text, flags in sources for part in (name, " ".join(flags), text)]
+    return key_of(_compiled_for(cc, every), *parts, " ".join(link))
 
 
 def build(
-    sources: Sequence[tuple[str, str, Sequence[str]]],
+    sources: Sequence[Source],
     rewrite: Mapping[str, Callable[[str], str]] | None = None,
     *,
     link: Sequence[str] = (),
@@ -102,38 +101,91 @@ def build(
     cc = compiler()
     if cc is None:
         raise BuildError("no C compiler", fix="install gcc or clang; without one greybox runs in CasADi's VM")
-    target = _library(cc, sources, link)
-    if instead and not target.exists():
+    key = _library(cc, sources, link)
+    if (found := find(key, ".so")) is not None:
+        return found
+    if instead:
         sources = [(name, text, instead.get(name, flags)) for name, text, flags in sources]
-        target = _library(cc, sources, link)
-    if target.exists():
-        return target
-    with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
-        objects: list[str] = []
-        running: list[tuple[subprocess.Popen[str], str, Path | None]] = []
-        for name, text, flags in sources:
-            # Sources that no rewriting touches and that are written by hand come again with every model.
-            kept = _object(cc, name, text, flags) if name in SHARED else None
-            path = Path(folder) / name
-            objects.append(str(kept if kept is not None and kept.exists() else path.with_suffix(".o")))
-            if objects[-1] == str(kept):
-                continue
-            path.write_text((rewrite or {}).get(name, str)(text))
-            command = [cc, *flags, "-c", str(path), "-o", objects[-1]]
-            running.append((subprocess.Popen(command, stderr=subprocess.PIPE, text=True), objects[-1], kept))
-        for process, made, kept in running:
-            _, complaint = process.communicate()
-            if process.returncode:
-                raise BuildError(f"the C compiler failed: {complaint.strip().splitlines()[:1]}", where=cc)
-            if kept is not None:
-                copy = Path(folder) / f"{kept.name}.copy"
-                shutil.copyfile(made, copy)
-                os.replace(copy, kept)
-        library = str(Path(folder) / "out.so")
-        done = subprocess.run(
-            [cc, "-shared", "-o", library, *objects, *link, "-lm"], capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise BuildError(f"linking failed: {done.stderr.strip().splitlines()[:1]}", where=cc)
-        os.replace(library, target)
-    return target
+        key = _library(cc, sources, link)
+        if (found := find(key, ".so")) is not None:
+            return found
+    try:
+        with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
+            objects = _objects(cc, sources, rewrite or {}, Path(folder))
+            library = Path(folder) / "out.so"
+            _run([cc, "-shared", "-o", str(library), *map(str, objects), *link, "-lm"], cc)
+            return keep(key, library, ".so")
+    except OSError as error:
+        raise BuildError(
+            f"cannot compile: {error.strerror or error}",
+            where=str(error.filename or cc),
+            fix="free some space, or set GREYBOX_CACHE to another folder",
+        ) from None
+
+
+def _objects(
+    cc: str, sources: Sequence[Source], rewrite: Mapping[str, Callable[[str], str]], folder: Path
+) -> list[Path]:
+    """Object files of the sources, compiled side by side; those written by hand come from the cache."""
+    objects: list[Path] = []
+    running: list[tuple[subprocess.Popen[str], int, str | None]] = []
+    for name, text, flags in sources:
+        key = _object(cc, name, text, flags) if name in SHARED else None
+        if key is not None and (found := find(key, ".o")) is not None:
+            objects.append(found)
+            continue
+        path = folder / name
+        path.write_text(rewrite.get(name, str)(text))
+        command = [cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace")
+        running.append((process, len(objects), key))
+        objects.append(path.with_suffix(".o"))
+    complaints = [process.communicate()[1] for process, _, _ in running]
+    for (process, at, key), complaint in zip(running, complaints, strict=True):
+        if process.returncode:
+            raise _failed(cc, process.returncode, complaint)
+        if key is not None:
+            objects[at] = keep(key, objects[at], ".o")
+    return objects
+
+
+def _run(command: Sequence[str], cc: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        raise _failed(cc, done.returncode, done.stderr)
+
+
+def _failed(cc: str, code: int, complaint: str) -> BuildError:
+    first = next((line for line in complaint.splitlines() if line.strip()), f"code {code}")
+    return BuildError(f"the C compiler failed: {first.strip()}", where=cc)
+
+
+def opened(
+    sources: Sequence[Source],
+    rewrite: Mapping[str, Callable[[str], str]] | None = None,
+    *,
+    instead: Mapping[str, Sequence[str]] | None = None,
+) -> ctypes.CDLL | None:
+    """The library of `build`, loaded; None where that cannot be, which is said once and kept in
+    `trouble`: the caller then goes on in CasADi's VM."""
+    if compiler() is None:
+        return None
+    try:
+        path = build(sources, rewrite, instead=instead)
+        try:
+            return ctypes.CDLL(str(path))
+        except OSError as error:
+            raise BuildError(f"a compiled model cannot be loaded: {error}") from None
+    except BuildError as error:
+        if not _TROUBLE:
+            say(f"{error}; CasADi's VM runs the same equations, slower")
+        _TROUBLE.append(str(error))
+        return None
+
+
+_TROUBLE: list[str] = []
+
+
+def trouble() -> str:
+    """Why models do not run compiled: what the compiler said last, or that there is none."""
+    return _TROUBLE[-1] if _TROUBLE else "no C compiler was used"

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from greybox.errors import UnknownNameError
 from greybox.estimation import lanes
-from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build, compiler
+from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, Expr, FloatArray
 
@@ -258,7 +258,7 @@ class Engine:
                 text[name] = generator.dump()
                 del generator
         driver = resources.files("greybox.estimation").joinpath("driver.c").read_text()
-        path = build(
+        library = opened(
             [
                 ("gb_model.c", text["gb_model"], MODEL_FLAGS),
                 ("gb_slopes.c", lanes.PRELUDE + text["gb_slopes"], lanes.FLAGS),
@@ -267,7 +267,8 @@ class Engine:
             rewrite={"gb_slopes.c": lanes.rewrite} if self.sensitive else None,
             instead={"gb_slopes.c": lanes.QUICK_FLAGS} if quick else None,
         )
-        library = ctypes.CDLL(str(path))
+        if library is None:
+            return
         library.gb_buffer.restype = ctypes.c_longlong
         sizes = [ctypes.c_longlong() for _ in range(4)]
         library.gb_sizes(*(ctypes.byref(v) for v in sizes))
@@ -628,7 +629,8 @@ def engine_for(
     """The engine of a model and a set of active parameters, built once per process; see `Engine`
     for `quick`.
 
-    One without active parameters is any other of that model: they run the same step.
+    One that is there already with more parameters serves: those that were not asked for are not
+    carried.
     """
     active = tuple(active)
     try:
@@ -637,10 +639,14 @@ def engine_for(
         shelf = {}
     key = active, sensitive
     if key not in shelf:
-        same = [e for (_, has), e in shelf.items() if not active and (has or not sensitive)]
+        larger = [
+            e
+            for (own, has), e in shelf.items()
+            if set(active) <= set(own) and has >= (sensitive and bool(active))
+        ]
         shelf[key] = (
-            same[0].select(())
-            if same
+            min(larger, key=lambda e: len(e.active)).select(active)
+            if larger
             else Engine(
                 dynamics, active, use_compiler=use_compiler, sensitive=sensitive, quick=quick
             )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,12 @@ from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
 from greybox.model.verdict import NOT_JUDGED, Verdict
+from greybox.plots import Curve, deviations, panels
+from greybox.shown import Cell, Shown
 from greybox.symbolic import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = "greybox.fit/1"
 
@@ -115,8 +120,8 @@ class Provenance:
     decisions: tuple[Decision, ...] = ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Fit(Shown):
     """What a fit found. Holds no raw data; what the three records hold is there as attributes,
     too."""
 
@@ -140,9 +145,68 @@ class Fit:
         model = replace(self.model, verdict=verdict)
         return replace(self, estimates=replace(self.estimates, model=model))
 
-    def __repr__(self) -> str:
-        line = NOT_JUDGED if self.verdict is None else self.verdict.line
-        return f"{line}\nFit({self.model.name}, {len(self.parameters)} parameters, {len(self.flights)} flights)"
+    def _shown_text(self) -> str:
+        """The summary: the verdict first."""
+        first, _, rest = self.summary().partition("\n")
+        what = f"{self.model.name}: {len(self.parameters)} parameters, {len(self.flights)} flights"
+        return f"{first}\n{what}\n{rest}"
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per estimated parameter; `t` is the distance from the null in standard errors."""
+        null = {d.name: d.null for d in self.model.dynamics.parameters}
+        rows: list[dict[str, Cell]] = []
+        for name, e in self.parameters.items():
+            zero = null.get(name)
+            far = None if zero is None or not e.std > 0 else (e.value - zero) / e.std
+            prior = e.prior or (None, None)
+            rows.append(
+                {
+                    "parameter": name,
+                    "value": e.value,
+                    "std": e.std,
+                    "unit": e.unit,
+                    "scope": e.scope,
+                    "t": far,
+                    "prior": prior[0],
+                    "prior std": prior[1],
+                    "at bound": e.at_bound,
+                }
+            )
+        return rows
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Estimates that had a prior, as deviations from it in its own standard deviations, with
+        the standard error that is left; matplotlib axes. Raises `GreyboxError` without priors."""
+        known = [e for e in self.parameters.values() if e.prior and e.prior[1] > 0]
+        away = [(e.value - e.prior[0]) / e.prior[1] for e in known if e.prior]
+        left = [e.std / e.prior[1] for e in known if e.prior]
+        return deviations(
+            [e.name for e in known],
+            np.array(away),
+            np.array(left),
+            x="deviation from what the vehicle file says [its standard deviations]",
+            ax=ax,
+        )
+
+    def plot_residuals(
+        self, flight: str | None = None, ax: Sequence[Axes] | None = None
+    ) -> list[Axes]:
+        """Innovations (one-step errors) of one flight, the first one if none is named, over time;
+        one panel per sensor component; matplotlib axes. Raises `UnknownNameError`."""
+        chosen = next(iter(self.innovations)) if flight is None else flight
+        if chosen not in self.innovations:
+            raise UnknownNameError("flight", chosen, self.innovations)
+        layout = self.model.dynamics.innovations
+        dt = self.model.sample_time
+        rows: dict[str, list[Curve]] = {}
+        for i, signal in enumerate(layout):
+            curves = []
+            for j, record in enumerate(self.innovations[chosen]):
+                label = "" if j else signal.name
+                t = dt * np.arange(len(record), dtype=np.float64)
+                curves.append(Curve(label=label, x=t, y=record[:, i]))
+            rows[f"{signal.name} [{signal.unit}]"] = curves
+        return panels(rows, x="t from the start of the record [s]", ax=ax)
 
     @property
     def model(self) -> IdentifiedModel:

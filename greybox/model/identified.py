@@ -1,8 +1,8 @@
 """IdentifiedModel: what a fit leaves behind. Everything that validation, export and control need,
 and no raw data.
 
-On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings from
-which the CasADi expressions are rebuilt exactly, estimates with covariance, noise levels, training
+On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors, noise and settings
+from which the CasADi expressions are rebuilt exactly, estimates with covariance, noise levels, training
 domain, data hash and a checksum.
 """
 
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics
@@ -25,12 +26,13 @@ from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
-from greybox.model.noise import Augmented, Disturbance, with_disturbance
+from greybox.model.noise import Augmented, Disturbance, NoisePart, noise_part, with_parts
 from greybox.model.parameter import ParameterValues
 from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle
-from greybox.model.verdict import Verdict
+from greybox.model.verdict import NOT_JUDGED, Verdict
+from greybox.shown import Cell, Shown
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
@@ -41,8 +43,8 @@ longest delay."""
 
 def library_versions() -> dict[str, str]:
     """Versions of greybox and of the libraries that shape a result."""
-    out = {}
-    for name in ("greybox", "casadi", "numpy", "scipy"):
+    out = {"greybox": VERSION}
+    for name in ("casadi", "numpy", "scipy"):
         try:
             out[name] = version(name)
         except PackageNotFoundError:
@@ -50,8 +52,8 @@ def library_versions() -> dict[str, str]:
     return out
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class IdentifiedModel:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifiedModel(Shown):
     """A fitted Dynamics with estimates, their covariance and the noise levels of its filter.
 
     `values` holds every model parameter (per-flight ones at their mean over the training flights),
@@ -83,6 +85,33 @@ class IdentifiedModel:
     trained_on: tuple[str, ...] = ()
     source: str = ""
     verdict: Verdict | None = None
+
+    def _shown_text(self) -> str:
+        """The verdict first, then the model and its values with their standard errors."""
+        first = NOT_JUDGED if self.verdict is None else self.verdict.line
+        trained = ", ".join(self.trained_on) or "nothing that is known"
+        where = f"  {self.sample_time:g} s a step, identified on {trained}"
+        rows = [
+            f"  {r['parameter']} {r['value']:.5g}"
+            + ("" if r["std"] is None else f" +- {r['std']:.2g}")
+            + f" {r['unit']}"
+            for r in self._shown_rows()
+        ]
+        return "\n".join([first, self.name, where, *rows])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per parameter; `std` is None for what was held."""
+        std = dict(zip(self.covariance_names, np.sqrt(np.diag(self.covariance)).tolist()))
+        return [
+            {
+                "parameter": d.name,
+                "value": self.values[d.name],
+                "std": std.get(d.name),
+                "unit": d.unit,
+                "scope": d.scope,
+            }
+            for d in self.dynamics.parameters
+        ]
 
     @property
     def name(self) -> str:
@@ -150,17 +179,6 @@ class IdentifiedModel:
                 got=type(physics).__name__,
                 fix="keep the Python code of a model of your own and save its values",
             )
-        disturbed = [p for p in parts if type(p) is Disturbance]
-        if other := [p.name for p in parts if p not in disturbed]:
-            raise ModelError(
-                "a model file holds white noise of the sensors",
-                got=", ".join(other),
-                fix="fit the model without them",
-            )
-        if len({p.time for p in disturbed}) > 1:
-            raise ModelError(
-                "a model file holds one start value of all correlation times", got=self.name
-            )
         body = {
             "schema": SCHEMA,
             "kind": "physics",
@@ -172,8 +190,7 @@ class IdentifiedModel:
             "input": physics.input,
             "model_sample_time": physics.sample_time,
             "kinematic_noise": physics.kinematic_noise,
-            "disturbance": [p.group for p in disturbed],
-            "disturbance_time_constant": disturbed[0].time if disturbed else None,
+            "noise_parts": [p.to_dict() for p in parts],
             "omega_known": physics.omega_known,
             "sample_time": self.sample_time,
             "values": dict(self.values),
@@ -268,9 +285,7 @@ class IdentifiedModel:
                 sample_time=float(data["model_sample_time"]),
                 kinematic_noise=bool(data.get("kinematic_noise", False)),
             )
-            if data["disturbance"]:
-                time = float(data["disturbance_time_constant"])
-                dynamics = with_disturbance(dynamics, data["disturbance"], time=time)
+            dynamics = with_parts(dynamics, _noise_parts(data))
             model = IdentifiedModel(
                 dynamics=dynamics,
                 values=ParameterValues({d.name: d.nominal for d in dynamics.parameters}).replace(
@@ -320,6 +335,16 @@ class IdentifiedModel:
                 f"incomplete or wrong ({error})", where=where, fix="write the file again"
             ) from None
         return model
+
+
+def _noise_parts(data: Mapping[str, Any]) -> list[NoisePart]:
+    """The noise that is correlated in time; earlier files named the groups of disturbances and one
+    time of all of them."""
+    if "noise_parts" in data:
+        return [noise_part(record) for record in data["noise_parts"]]
+    groups = data["disturbance"]
+    time = float(data["disturbance_time_constant"]) if groups else 1.0
+    return [Disturbance(group=g, time=time) for g in groups]
 
 
 def _check(model: IdentifiedModel) -> None:

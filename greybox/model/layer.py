@@ -15,15 +15,17 @@ from typing import Self, TypeVar
 
 from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
+from greybox.model.dynamics_text import dynamics_text, parameter_rows
 from greybox.model.effect import Effect
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import Parameter
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout
 
 D = TypeVar("D", bound=Dynamics)
 
 
-class Layer(ABC):
+class Layer(Shown, ABC):
     """Base of every Dynamics that adds something to another one, its `base`. Satisfies
     `Dynamics`."""
 
@@ -35,6 +37,14 @@ class Layer(ABC):
     @abstractmethod
     def on(self, base: Dynamics) -> Self:
         """The same layer on another Dynamics."""
+
+    def _shown_text(self) -> str:
+        """Name, what goes in, what comes out and what is unknown."""
+        return dynamics_text(self)
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per parameter."""
+        return parameter_rows(self)
 
     def with_effect(self, *effects: str | Effect) -> Self:
         """The same layers on the physics model with further effects. Raises `ModelError` where

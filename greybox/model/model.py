@@ -35,6 +35,7 @@ from greybox.frames import (
 from greybox.model.command_window import CommandWindow
 from greybox.model.composition import check_effects, check_sensors
 from greybox.model.core_parameters import core_parameters
+from greybox.model.dynamics_text import dynamics_text, parameter_rows
 from greybox.model.effect import SLOTS, Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.felt import Felt
@@ -48,11 +49,12 @@ from greybox.model.sensors import SENSORS, USUAL
 from greybox.model.staged_effects import StagedEffects
 from greybox.model.state_blocks import BLOCKS, first_columns, first_times, start_of
 from greybox.model.vehicle import Vehicle
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
 
-@dataclass(frozen=True, kw_only=True)
-class PhysicsModel:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PhysicsModel(Shown):
     """Newton-Euler multirotor of `vehicle` with `effects` and the sensors named in `sensors`.
 
     `input`: "command" (u1..un) or "speed" (measured rotor speeds omega1..omegan drive the rotors;
@@ -83,6 +85,16 @@ class PhysicsModel:
         )
         object.__setattr__(self, "effects", ordered)
         check_sensors(self.sensors, self.effects, self.vehicle, self.inputs.names)
+
+    # ---------------------------------------------------------------- shown
+
+    def _shown_text(self) -> str:
+        """Name, what goes in, what comes out and what is unknown."""
+        return dynamics_text(self)
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per parameter."""
+        return parameter_rows(self)
 
     # ---------------------------------------------------------------- composition
 

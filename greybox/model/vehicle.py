@@ -27,6 +27,7 @@ from greybox.files import read_limited
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.toml_table import TomlTable, describe
+from greybox.shown import Cell, Shown
 
 SCHEMA = "greybox.vehicle/2"
 EXACT_SCHEMA = "greybox.vehicle/1"
@@ -94,8 +95,8 @@ class Actuator:
     torque: Quantity3
 
 
-@dataclass(frozen=True, kw_only=True)
-class Vehicle:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Vehicle(Shown):
     """One craft. `inertia` [kg m^2] is about the centre of mass, `inertia_sigma` belongs to Jxx,
     Jyy, Jzz.
 
@@ -133,6 +134,20 @@ class Vehicle:
 
     def __hash__(self) -> int:
         return hash(repr(self.to_dict()))
+
+    def _shown_text(self) -> str:
+        """Name, weight and size, then every believed number with its standard deviation."""
+        first = f"{self.name}: {self.n_rotors} rotors, arm {self.arm_length:.4g} m, {self.schema}"
+        lines = [f"  {b.quantity} {b.value:.5g} +- {b.sigma:.2g} ({b.why})" for b in self.beliefs.entries if b.value]
+        known = ", ".join(self.effects) or "none"
+        return "\n".join([first, f"  effects known to be there: {known}", *lines])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per number: value, standard deviation and why it is believed so far."""
+        return [
+            {"quantity": b.quantity, "value": b.value, "sigma": b.sigma, "why": b.why}
+            for b in self.beliefs.entries
+        ]
 
     @property
     def n_rotors(self) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,13 +15,17 @@ from greybox.planning.information import Information, Pair
 from greybox.planning.limits import Limits
 from greybox.planning.pieces import Piece
 from greybox.planning.subject import Subject
+from greybox.shown import Cell, Shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = "greybox.plan/1"
 Step = tuple[Piece, float]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plan:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Plan(Shown):
     """What to fly and what it is expected to tell. `flights` are lists of (piece, amplitude), `log` their noise-free logs.
 
     `errors` and `naive` map parameters to (standard error, the same without what is known before) of the plan and of hover
@@ -103,6 +107,30 @@ class Plan:
         return tuple(
             n for n in self.subject.wanted if np.isfinite(self.errors[n][1]) and not np.isfinite(self.naive[n][1])
         )
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per parameter: standard errors before, after and by a naive flight."""
+        s = self.subject
+        return [
+            {
+                "parameter": n,
+                "value": s.values[n],
+                "unit": s.declared[n].unit,
+                "std before": s.known_before.get(n),
+                "std after": std,
+                "std of a naive flight": self.naive[n][0],
+            }
+            for n, (std, _) in self.errors.items()
+        ]
+
+    def plot(self, flight: int = 0, ax: Sequence[Axes] | None = None) -> list[Axes]:
+        """The planned flight number `flight` (from 0) as it would be logged without noise;
+        matplotlib axes."""
+        return self.log.plot(flight=self.log.names[flight], ax=ax)
 
     def summary(self) -> str:
         """The plan as text."""

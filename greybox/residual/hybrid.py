@@ -25,7 +25,7 @@ from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HybridModel(LearnedPush):
     """`inner` with the mean of `posterior` added to the process-noise channels that its outputs are
     named after.

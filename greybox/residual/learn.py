@@ -30,6 +30,7 @@ from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
+from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
@@ -39,8 +40,8 @@ SUBSET = 300
 """Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from multi-step errors."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Learned:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Learned(Shown):
     """The hybrid `model` (the physics with its disturbance states, where nothing could be learned: `null`), and how:
     the open-loop fit, the candidates with their share of held-out cost saved, the calibration factors, seconds."""
 
@@ -86,6 +87,17 @@ class Learned:
             "warnings": [],
             "versions": library_versions(),
         }  # fmt: skip
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per candidate: the share of its held-out cost that it saves."""
+        return [
+            {"candidate": n, "saved on left-out flights": g, "chosen": n == self.chosen}
+            for n, g in self.candidates.items()
+        ]
 
     def summary(self) -> str:
         """What was learned, as text."""

@@ -19,12 +19,12 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -32,12 +32,19 @@ import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_atomic, write_json
+from greybox.plots import Curve, panels
 from greybox.residual.kernels import Kernel
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = "greybox.gp/1"
 METHODS = ("exact", "sgpr", "svgp")
 QUANTITIES = ("mean", "variance", "mean_jacobian", "variance_jacobian", "distance")
+SLICE = 200
+"""Points of a plotted slice."""
 _VECTORS = ("input_mean", "input_scale", "output_mean", "output_scale", "noise")
 _ARRAYS = ("support", "weights", "explained", "uncertain")
 
@@ -69,8 +76,8 @@ class _Common:
     explained: Expr = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GPPosterior:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GPPosterior(Shown):
     """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support points.
 
     `kernels` one per output (outputs that share a kernel share its evaluation). `support` (M, n_in) and the kernels are in
@@ -317,6 +324,53 @@ class GPPosterior:
     def evaluate_distance(self, z: npt.ArrayLike) -> FloatArray:
         """`distance` (N,) at the rows of z (N, n_in)."""
         return evaluate(self._distance, self._rows(z))[:, 0]
+
+    def _shown_text(self) -> str:
+        """What it learned from what, with how many points."""
+        return "\n".join(
+            [
+                f"GP({', '.join(self.outputs.names)}) from {', '.join(self.inputs.names)}",
+                f"  {self.points} support points, {self.method}, {self.domain.samples} training samples",
+            ]
+        )
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per output: kernel and noise."""
+        return [
+            {
+                "output": s.name, "unit": s.unit, "kernel": k.family, "noise std": float(np.sqrt(v)),
+                "mean far from the data": float(m),
+            }
+            for s, k, v, m in zip(self.outputs, self.kernels, self.noise, self.output_mean, strict=True)
+        ]  # fmt: skip
+
+    def plot(
+        self, along: str, outputs: Sequence[str] | None = None, *, at: Mapping[str, float] | None = None,
+        ax: Sequence[Axes] | None = None,
+    ) -> list[Axes]:  # fmt: skip
+        """A slice: mean and two standard deviations of `outputs` (all) along the input `along` over its training range,
+        the other inputs at the middle of theirs or `at` given values. Matplotlib axes, one panel per output.
+
+        Raises `UnknownNameError` for an input or output that is not there.
+        """
+        for name in (along, *(at or {})):
+            if name not in self.inputs:
+                raise UnknownNameError("input of the GP", name, self.inputs.names)
+        middle = (self.domain.lower + self.domain.upper) / 2.0
+        z = np.tile(middle, (SLICE, 1))
+        for name, value in (at or {}).items():
+            z[:, self.inputs[name]] = value
+        column = self.inputs[along]
+        z[:, column] = np.linspace(self.domain.lower[column], self.domain.upper[column], SLICE)
+        mean, variance = self.evaluate(z)
+        rows = {}
+        for name in self.outputs.names if outputs is None else outputs:
+            if name not in self.outputs:
+                raise UnknownNameError("output of the GP", name, self.outputs.names)
+            j = self.outputs[name]
+            curve = Curve(label="", x=z[:, column], y=mean[:, j], spread=2.0 * np.sqrt(variance[:, j]))
+            rows[f"{name} [{self.outputs.signals[j].unit}]"] = [curve]
+        return panels(rows, x=f"{along} [{self.inputs.signals[column].unit}]", ax=ax)
 
     def _rows(self, z: npt.ArrayLike) -> FloatArray:
         rows = np.ascontiguousarray(z, dtype=np.float64)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from greybox.distribution import install_line
 from greybox.errors import MissingExtraError, ModelError
 from greybox.residual import sparse
 from greybox.residual.inflation import autocorrelation_time, group_variances, groups_differ
@@ -44,7 +45,7 @@ def _torch() -> Any:
         from greybox.residual import torch_gp
     except ImportError as error:
         raise MissingExtraError(
-            f"training a GP needs PyTorch and GPyTorch ({error})", fix="pip install greybox[gp]"
+            f"training a GP needs PyTorch and GPyTorch ({error})", fix=install_line("gp")
         ) from None
     return torch_gp
 

@@ -47,6 +47,7 @@ typedef struct {
   double Z0[ND * ND];            /* covariance of the estimate about the plan at its start, usually zero */
   double bent[N + 1][ND * ND];   /* added to the covariance: what the linear loop leaves out */
   double tolerance, qp_tolerance, damping;
+  double primal_tolerance;       /* largest primal residual of a QP whose solution is taken over */
   double iterations_max, qp_iterations_max, tube_updates_max;
   /* the plan, also the start of the next solution */
   double x[N + 1][NX];
@@ -56,7 +57,10 @@ typedef struct {
   double backoff[N + 1][NL];
   double backoff_u[N][NU];
   double slack[N + 1][NL];
-  double cost, kkt, step, iterations, qp_iterations, qp_status, seconds, seconds_linear, seconds_tube, seconds_qp;
+  double cost, kkt, step, iterations, qp_iterations, qp_status;
+  double qp_residual;            /* primal residual of the last QP: dynamics, commands, rates */
+  double clipped;                /* by how much the limits moved a command of the plan at the end */
+  double seconds, seconds_linear, seconds_tube, seconds_qp;
 } tube_data;
 
 typedef struct {
@@ -74,6 +78,7 @@ typedef struct {
   double G[N + 1][NL * NK], value[N + 1][NL];
   double c[ND * NGP1], b[ND * NTH1];
   double c2[ND * NGP1], b2[ND * NTH1], Z[ND * ND], Z2[ND * ND];
+  double x_kept[N + 1][NX], u_kept[N][NU];
 } tube_solver;
 
 static double now(void) {
@@ -328,16 +333,48 @@ static void bounds(tube_solver *s, tube_data *d, int k) {
   d_ocp_qp_set_lus(k, none, qp);
 }
 
+/* The larger of two sizes; infinite where one is no number, so that a NaN is never lost among numbers. */
+static double larger(double a, double b) {
+  if (isnan(a) || isnan(b)) return INFINITY;
+  return a > b ? a : b;
+}
+
 static double largest(const double *v, int n) {
   double m = 0;
-  for (int i = 0; i < n; i++)
-    if (!(fabs(v[i]) <= m)) m = fabs(v[i]);
+  for (int i = 0; i < n; i++) m = larger(m, fabs(v[i]));
   return m;
+}
+
+static double clip(double v, double low, double high) { return v < low ? low : (v > high ? high : v); }
+
+/* Commands of the plan within their limits and, which comes first, their rates. Returns the largest change. */
+static double limited(tube_data *d) {
+  double most = 0;
+  for (int k = 0; k < N; k++) {
+    const double *before = k > 0 ? d->u[k - 1] : d->u_before;
+    for (int j = 0; j < NU; j++) {
+      double v = clip(d->u[k][j], d->u_min[j], d->u_max[j]);
+      v = clip(v, before[j] - d->rate_max[j], before[j] + d->rate_max[j]);
+      most = larger(most, fabs(v - d->u[k][j]));
+      d->u[k][j] = v;
+    }
+  }
+  return most;
+}
+
+/* How far the solution of the QP is from its dynamics and its limits, of its multipliers nothing. */
+static double primal(tube_solver *s) {
+  double eq, ineq;
+  d_ocp_qp_res_compute(&s->qp, &s->sol, &s->res, &s->res_ws);
+  d_ocp_qp_res_compute_inf_norm(&s->res);
+  d_ocp_qp_res_get_max_res_eq(&s->res, &eq);
+  d_ocp_qp_res_get_max_res_ineq(&s->res, &ineq);
+  return larger(eq, ineq);
 }
 
 /* KKT residual of the plan as it is now, with the multipliers of the QP before. */
 static double residual(tube_solver *s) {
-  double zero[NZ] = {0}, m = 0, v;
+  double zero[NZ] = {0}, m, v;
   for (int k = 0; k <= N; k++) {
     if (k > 0) d_ocp_qp_sol_set_x(k, zero, &s->sol);
     if (k < N) d_ocp_qp_sol_set_u(k, zero, &s->sol);
@@ -347,28 +384,55 @@ static double residual(tube_solver *s) {
   d_ocp_qp_res_get_max_res_stat(&s->res, &v);
   m = v;
   d_ocp_qp_res_get_max_res_eq(&s->res, &v);
-  if (!(v <= m)) m = v;
+  m = larger(m, v);
   d_ocp_qp_res_get_max_res_ineq(&s->res, &v);
-  if (!(v <= m)) m = v;
+  m = larger(m, v);
   d_ocp_qp_res_get_max_res_comp(&s->res, &v);
-  return !(v <= m) ? v : m;
+  return larger(m, v);
 }
 
-/* Iterates from the plan in d. Returns 0; 1 where a function of the model failed; 2 where the QP gave no solution (the plan
-   is then left as it was). d->kkt <= d->tolerance says that it converged. */
-int tube_solve(tube_solver *s, tube_data *d) {
-  double begin = now();
-  int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS, cold = 0, warm = 2;
-  d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
-  d->iterations = d->qp_iterations = 0;
-  d->step = d->kkt = INFINITY;
-  d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_stat(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_eq(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_ineq(&d->qp_tolerance, &s->arg);
-  d_ocp_qp_ipm_arg_set_tol_comp(&d->qp_tolerance, &s->arg);
+/* One QP about the plan: solves it and moves the plan by the solution. Returns what tube_solve does. */
+static int moved_by_qp(tube_solver *s, tube_data *d) {
+  double z[N + 1][NZ], w[N][NU], size = 0;
+  int status, n;
+  d_ocp_qp_ipm_solve(&s->qp, &s->sol, &s->arg, &s->ws);
+  d_ocp_qp_ipm_get_status(&s->ws, &status);
+  d_ocp_qp_ipm_get_iter(&s->ws, &n);
+  d->qp_status = status;
+  d->qp_iterations += n;
+  d->qp_residual = primal(s);
+  for (int k = 0; k <= N; k++) {
+    if (k > 0) {
+      d_ocp_qp_sol_get_x(k, &s->sol, z[k]);
+      d_ocp_qp_sol_get_su(k, &s->sol, d->slack[k]);
+      size = larger(size, largest(z[k], NK));
+    }
+    if (k < N) {
+      d_ocp_qp_sol_get_u(k, &s->sol, w[k]);
+      size = larger(size, largest(w[k], NU));
+    }
+  }
+  /* A QP that broke down, or was cut off before it met its dynamics and limits, gives no plan. One that did meet them is
+     a plan, if not the best. */
+  if (!(size < 1e6) || status > 2 || !(d->qp_residual <= d->primal_tolerance)) return 2;
+  d->step = size;
+  for (int k = 0; k <= N; k++) {
+    if (k > 0) {
+      double moved[NX];
+      const double *arg[TUBE_ARG] = {d->x[k], z[k]};
+      double *res[TUBE_RES] = {moved};
+      if (tube_model_tube_move(arg, res, s->iw, s->w, 0)) return 1;
+      memcpy(d->x[k], moved, sizeof moved);
+    }
+    if (k < N)
+      for (int j = 0; j < NU; j++) d->u[k][j] += w[k][j];
+  }
+  return 0;
+}
+
+static int iterated(tube_solver *s, tube_data *d) {
+  int cold = 0, warm = 2;
   d_ocp_qp_ipm_arg_set_warm_start(&cold, &s->arg);
-  memcpy(d->x[0], d->x0, sizeof d->x[0]);
   for (int it = 0; it <= (int)d->iterations_max; it++) {
     double t0 = now(), t1, t2;
     d->cost = 0;
@@ -388,47 +452,43 @@ int tube_solve(tube_solver *s, tube_data *d) {
     if (it == (int)d->iterations_max) break;
     /* the QP of the iteration before is near; that of the sample before may have other active limits */
     if (it > 0) d_ocp_qp_ipm_arg_set_warm_start(&warm, &s->arg);
-    d_ocp_qp_ipm_solve(&s->qp, &s->sol, &s->arg, &s->ws);
-    int status, n;
-    d_ocp_qp_ipm_get_status(&s->ws, &status);
-    d_ocp_qp_ipm_get_iter(&s->ws, &n);
-    d->qp_status = status;
-    d->qp_iterations += n;
+    int failed = moved_by_qp(s, d);
     d->seconds_qp += now() - t2;
+    if (failed) return failed;
     d->iterations = it + 1;
-    double z[N + 1][NZ], w[N][NU], size = 0;
-    for (int k = 0; k <= N; k++) {
-      if (k > 0) {
-        d_ocp_qp_sol_get_x(k, &s->sol, z[k]);
-        d_ocp_qp_sol_get_su(k, &s->sol, d->slack[k]);
-        double m = largest(z[k], NK);
-        if (!(m <= size)) size = m;
-      }
-      if (k < N) {
-        d_ocp_qp_sol_get_u(k, &s->sol, w[k]);
-        double m = largest(w[k], NU);
-        if (!(m <= size)) size = m;
-      }
-    }
-    /* NaN, or a solver that broke down: nothing is taken over */
-    if (!(size < 1e6) || (status != 0 && status != 1)) {
-      renewed(s);
-      return 2;
-    }
-    d->step = size;
-    for (int k = 0; k <= N; k++) {
-      if (k > 0) {
-        double moved[NX];
-        const double *arg[TUBE_ARG] = {d->x[k], z[k]};
-        double *res[TUBE_RES] = {moved};
-        if (tube_model_tube_move(arg, res, s->iw, s->w, 0)) return 1;
-        memcpy(d->x[k], moved, sizeof moved);
-      }
-      if (k < N)
-        for (int j = 0; j < NU; j++) d->u[k][j] += w[k][j];
-    }
     if ((int)d->iterations_max == 1) break;
   }
-  d->seconds = now() - begin;
+  if (!(largest(&d->x[0][0], (N + 1) * NX) < INFINITY) || !(largest(&d->u[0][0], N * NU) < INFINITY)) return 1;
   return 0;
+}
+
+/* Iterates from the plan in d. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP
+   was not solved. After 1 and 2 the plan is the one from before the call, to the last bit. After 0 its commands keep their
+   limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end, though it met dynamics and
+   limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
+int tube_solve(tube_solver *s, tube_data *d) {
+  double begin = now();
+  int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS;
+  d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
+  d->iterations = d->qp_iterations = d->clipped = 0;
+  d->step = d->kkt = d->qp_residual = INFINITY;
+  d->qp_status = -1;
+  d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
+  d_ocp_qp_ipm_arg_set_tol_stat(&d->qp_tolerance, &s->arg);
+  d_ocp_qp_ipm_arg_set_tol_eq(&d->qp_tolerance, &s->arg);
+  d_ocp_qp_ipm_arg_set_tol_ineq(&d->qp_tolerance, &s->arg);
+  d_ocp_qp_ipm_arg_set_tol_comp(&d->qp_tolerance, &s->arg);
+  memcpy(s->x_kept, d->x, sizeof d->x);
+  memcpy(s->u_kept, d->u, sizeof d->u);
+  memcpy(d->x[0], d->x0, sizeof d->x[0]);
+  int failed = iterated(s, d);
+  if (failed) {
+    memcpy(d->x, s->x_kept, sizeof d->x);
+    memcpy(d->u, s->u_kept, sizeof d->u);
+    renewed(s);
+  } else {
+    d->clipped = limited(d);
+  }
+  d->seconds = now() - begin;
+  return failed;
 }

@@ -4,12 +4,16 @@ Timing. The filter runs at every sample of the identified model. A plan is made 
 filter's prediction one sample ahead, with the command that will be in force until then; its first command is applied at
 that sample. So the solver has one sample to compute in, and that delay is part of the plan.
 
+Whatever decided it, a command comes into force in one place (`_take`), within the limits of command and rate.
+
 What may go wrong, and what is done; `events` says what happened when:
 
-- a solution fails (a model function is not finite, the QP breaks down): the plan before goes on, its next command plus the
+- a solution fails (a model function is not finite, the QP is not solved: neither to the end nor, cut off, so far that it
+  meets its dynamics and limits): the plan before goes on, its next command plus the
   ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about the path. A plan that failed
   three times in a row, or is older than itself, is replaced by a simulation of that fallback before the next attempt;
-- measurements are missing, infinite or cannot be believed (gate.py): the filter goes on without them;
+- measurements are missing, infinite, no numbers or cannot be believed (gate.py): the filter goes on without them;
+- the estimate itself runs away until it is not finite: it starts anew, at what the pose says, at rest;
 - calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE is not followed: one
   sample has passed;
 - flying on is not possible: a descent is declared (descent.py).
@@ -25,6 +29,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
@@ -45,7 +50,11 @@ LATE = 0.25
 EARLY = 0.25
 """A call counts for another sample when it comes no more than this share of one too early for it."""
 FAILURES = 3
-"""So many failed solutions in a row, and the next starts anew."""
+"""So many failed solutions, or estimates that are not finite, in a row, and the next starts anew."""
+NEAR_STEADY = 1e-6
+"""A steady state that misses its condition by less is not looked for anew."""
+ROUNDING = 1e-6
+"""A command that its limits move by less is as it was decided: the QP is solved to this."""
 NEAR = {"position": 0.3, "velocity": 1.0}
 """The fallback corrects no more than this at a time [m, m/s]: its gain is linear and the commands are bounded."""
 GIVEN = 0.7
@@ -147,7 +156,11 @@ class TubeController:
         kappa[: len(self.kappa)] = self.kappa
         self.solver.data["kappa"][:] = kappa
         self.solver.data["kappa_u"][()] = self.kappa_u
-        hover, self.u = (np.array(v) for v in self.solver.stages.steady)
+        hover, steady = (np.array(v) for v in self.solver.stages.steady)
+        # no command in force before the first is known of; it keeps its limits, if hover does not
+        self.u = np.clip(steady, self.problem.command_min, self.problem.command_max)
+        if x is not None and not np.isfinite(x).all():
+            raise ModelError("the estimate to start from must be finite", got=str(x))
         if x is None:
             first = self.reference.sample(np.array([time]))
             hover[self._rows("position")] = first.position[0]
@@ -168,7 +181,7 @@ class TubeController:
         self._told: float | None = None
         self._ahead = self._phase = 0.0
         self._first: float | None = None
-        self._failures = 0
+        self._failures = self._runaway = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
         self._seen = [math.inf] * len(self._pose)  # when a pose was last believed; infinity before the first sample
         data = self.solver.data
@@ -203,12 +216,21 @@ class TubeController:
         """Whether a descent was declared."""
         return self.descent is not None
 
-    def sample(self, time: float, measured: Mapping[str, float]) -> FloatArray:
-        """The command that is in force from the next sample on, (n_u,), given the measurements at `time` by column."""
+    def sample(self, time: float, measured: Mapping[str, float | None] | None) -> FloatArray:
+        """The command that is in force from the next sample on, (n_u,), given the measurements at `time` by column.
+
+        Whatever is measured or told, it raises nothing and the command keeps its limits. Columns
+        that are left out, None or no numbers are not measured; None for all: nothing is.
+        """
+        # nothing that overflows on its way to being rejected is an error of the caller's
+        with np.errstate(all="ignore"):
+            return self._sample(_number(time), measured or {})
+
+    def _sample(self, time: float, measured: Mapping[str, float | None]) -> FloatArray:
         passed = self._passed(time)
         assert self._told is not None
         time = self._told - self._ahead
-        nothing: dict[str, float] = {}
+        nothing: dict[str, float | None] = {}
         for k in range(passed - 1, 0, -1):
             self._see(time - k * self.model.sample_time, nothing, called=False)
         self._see(time, measured)
@@ -218,12 +240,25 @@ class TubeController:
         if due:
             for _ in range(min(due, len(self.past))):
                 self.past = [self.u.copy(), *self.past[:-1]]
-            u = self._decide(time + self.model.sample_time)
-            if np.isfinite(u).all():
-                self.u = u
-            else:
-                self._note(time, "the command is not finite")
-        return self.u
+            self._take(time, self._decide(time + self.model.sample_time))
+        return self.u.copy()
+
+    def _take(self, time: float, u: FloatArray) -> None:
+        """The one place where a command comes into force: finite, within its limits and its rate."""
+        if not np.isfinite(u).all():
+            self._note(time, "the command is not finite")
+            u = self.u
+        allowed = self._allowed(u, self.u)
+        if np.abs(allowed - u).max() > ROUNDING:
+            self._note(time, "the command is beyond its limits")
+        self.u = allowed
+
+    def _allowed(self, u: FloatArray, before: FloatArray) -> FloatArray:
+        """u within its limits, and nearer to `before` where the rate asks for it: what is in force
+        beyond the limits goes back as fast as it may."""
+        problem = self.problem
+        inside = np.clip(u, problem.command_min, problem.command_max)
+        return np.asarray(np.clip(inside, before - problem.rate_max, before + problem.rate_max))
 
     def _passed(self, time: float) -> int:
         """Samples since the call before: 1, more where calls did not come. A clock that jumps is put right."""
@@ -249,7 +284,9 @@ class TubeController:
             self._note(time - self._ahead, "calls did not come")
         return passed
 
-    def filtered(self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float]) -> tuple[FloatArray, bool]:
+    def filtered(
+        self, estimate: FloatArray, u: FloatArray, measured: Mapping[str, float | None]
+    ) -> tuple[FloatArray, bool]:
         """The identified filter's estimate one sample after `estimate` under u, and whether anything was measured.
 
         Everything that is finite is believed.
@@ -257,15 +294,17 @@ class TubeController:
         y, there = self._there(measured)
         return self._step(estimate, u, self.p, y, there)[0].full().ravel(), bool(there.any())
 
-    def _there(self, measured: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    def _there(self, measured: Mapping[str, float | None]) -> tuple[FloatArray, FloatArray]:
         """(Values, zero where there are none (n_y,); which innovations they give (n_e,))."""
-        y = plausible(self.columns, np.array([float(measured.get(c, math.nan)) for c in self.columns]))
+        y = plausible(self.columns, np.array([_number(measured.get(c)) for c in self.columns]))
         there = np.array([float(np.isfinite(y[rows]).all()) for rows in self._present])
         return np.nan_to_num(y), there
 
-    def _see(self, time: float, measured: Mapping[str, float], called: bool = True) -> None:
+    def _see(
+        self, time: float, measured: Mapping[str, float | None], called: bool = True
+    ) -> None:
         for i, name in enumerate(self.functions.parameters.names):
-            value = measured.get(name, math.nan)
+            value = _number(measured.get(name))
             low, high = self.model.domain.get(name, (-math.inf, math.inf))
             room = 0.5 * (high - low) if math.isfinite(high - low) else 0.0
             if math.isfinite(value) and low - room <= value <= high + room:
@@ -282,9 +321,26 @@ class TubeController:
                 self._seen[j] = time
         found = after.full().ravel()
         if np.isfinite(found).all():
-            self.estimate = found
-        else:
-            self._note(time, "the filter's estimate is not finite")
+            self.estimate, self._runaway = found, 0
+            return
+        self._note(time, "the filter's estimate is not finite")
+        self._runaway += 1
+        if self._runaway >= FAILURES and there.any():
+            self._begin_again(time, y, there)
+
+    def _begin_again(self, time: float, y: FloatArray, there: FloatArray) -> None:
+        """An estimate that cannot be carried on is given up: at rest, where the pose says, if it does."""
+        self._note(time, "the filter starts anew")
+        own = self.filter.own_states
+        state = np.array(self.solver.stages.steady[0][:own])
+        for name, columns in (("position", "xyz"), ("attitude", ("qw", "qx", "qy", "qz"))):
+            at = [self.columns.index(c) for c in columns if c in self.columns]
+            seen = [rows for k, rows in self._pose if set(self._present[rows[0]]) == set(at)]
+            if len(at) == len(columns) and seen and there[seen[0]].all():
+                state[self._rows(name)] = y[at] / (np.linalg.norm(y[at]) if name == "attitude" else 1.0)
+        self.estimate = np.asarray(self.filter.sampled.extended(state, self._column(self.u))[0])
+        self.gate.start()
+        self._runaway = 0
 
     def _believed(
         self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, expected: Any
@@ -336,6 +392,10 @@ class TubeController:
             self._failures += 1
             self._note(begin, f"no solution (status {outcome.status}, QP {outcome.qp_status})")
             return self._fallback(begin, path)
+        if outcome.qp_status != 0:
+            self._note(begin, f"a plan within its limits, but not the best (QP {outcome.qp_status})")
+        if outcome.clipped > ROUNDING:
+            self._note(begin, "a plan was clipped to its limits")
         self._failures, self._first = 0, begin
         self.plan = Plan(time=begin, outcome=outcome, x=data["x"].copy(), u=data["u"].copy())
         return np.asarray(data["u"][0].copy())
@@ -371,18 +431,30 @@ class TubeController:
         end[attitude], end[turn] = _tilted(up, float(yaw[-1])), data["x"][-1, turn]
 
     def _aim(self, path: Any) -> None:
-        """One Newton step of the steady state that holds the reference's place under the estimated disturbance."""
-        x, u = self.steady
-        x = x.copy()
-        kept = self._rows("disturbance")
-        x[kept] = self.estimate[kept]
+        """One Newton step of the steady state that holds the reference's place under the estimated disturbance.
+
+        It goes on from the step before, or from hover where that misses the condition by less: after
+        a disturbance that nothing holds against, Newton's method would not find back by itself.
+        """
         goal = np.array([*path.position[0], path.yaw[0]])
-        new_x, new_u, _ = self.functions["target_step"](x, u, self.p, goal)
-        x, u = new_x.full().ravel(), new_u.full().ravel()
+        x, u, missed = self._steadier(*self.steady, goal)
+        if not missed < NEAR_STEADY:
+            again = self._steadier(*self.solver.stages.steady, goal)
+            if not missed < again[2]:
+                x, u, _ = again
         if np.isfinite(x).all() and np.isfinite(u).all():
             low, high = self.problem.command_min, self.problem.command_max
             self.steady = x, np.clip(u, low, high)
             self._weak = self._needed(u) > high
+
+    def _steadier(
+        self, x: FloatArray, u: FloatArray, goal: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """State and command after a Newton step from (x, u), and by how much (x, u) missed."""
+        x, kept = x.copy(), self._rows("disturbance")
+        x[kept] = self.estimate[kept]
+        new_x, new_u, missed = self.functions["target_step"](x, u, self.p, goal)
+        return new_x.full().ravel(), new_u.full().ravel(), float(np.abs(missed.full()).max())
 
     def _needed(self, u: FloatArray) -> FloatArray:
         """Steady command (n_u,) if rotors are weak by a factor, where u (n_u,) holds against what acts now.
@@ -441,13 +513,11 @@ class TubeController:
 
     def _corrected(self, state: FloatArray, before: FloatArray, x: FloatArray, u: FloatArray) -> FloatArray:
         """u and the ancillary gain on what `state` is away from x, within the limits of command and rate."""
-        problem = self.problem
         away = self.functions["boxminus"](state, x).full().ravel()
         for name, most in NEAR.items():
             rows = self._rows(name, error=True)
             away[rows] *= min(1.0, most / max(float(np.linalg.norm(away[rows])), 1e-9))
-        limited = np.clip(u + self.solver.stages.gain @ away, before - problem.rate_max, before + problem.rate_max)
-        return np.asarray(np.clip(limited, problem.command_min, problem.command_max))
+        return self._allowed(u + self.solver.stages.gain @ away, before)
 
 
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:
@@ -455,11 +525,19 @@ def _integrating(model: IdentifiedModel) -> IdentifiedModel:
     return model.with_values({n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")})
 
 
+def _number(value: object) -> float:
+    """As a number; NaN for what is none: None, text, an array."""
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def _tilted(up: npt.NDArray[np.float64], yaw: float) -> FloatArray:
     """Attitude (w, x, y, z) with thrust along `up` and the body's x axis toward `yaw`."""
-    z = up / np.linalg.norm(up)
+    z = up / max(float(np.linalg.norm(up)), 1e-9)
     y = np.cross(z, [math.cos(yaw), math.sin(yaw), 0.0])
-    y /= np.linalg.norm(y)
+    y /= max(float(np.linalg.norm(y)), 1e-9)
     r = np.column_stack([np.cross(y, z), y, z])
     w = 0.5 * math.sqrt(max(1.0 + np.trace(r), 1e-12))
     return np.array([w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4.0 * w))])

@@ -18,7 +18,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.build import BuildError, build, cache_dir
+from greybox.estimation.build import BuildError, build
+from greybox.estimation.cache import cache_dir
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
@@ -27,9 +28,12 @@ from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
 
 _SCALARS = (
-    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "seconds", "seconds_linear", "seconds_tube",
-    "seconds_qp",
+    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "qp_residual", "clipped", "seconds",
+    "seconds_linear", "seconds_tube", "seconds_qp",
 )  # fmt: skip
+PRIMAL = 1e-4
+"""A QP that was not solved to the end counts where it misses dynamics (m, m/s, rad, rad/s) and limits
+by no more than this: below what a sensor sees."""
 
 
 def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
@@ -40,8 +44,9 @@ def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
         ("x0", (n["NX"],)), ("u_before", (n["NU"],)), ("p", (max(n["NP"], 1),)), ("ref", (n["N"], n["NREF"])),
         ("x_end", (n["NX"],)), ("plane", (stages_, n["NPL"], 4)), ("u_min", (n["NU"],)), ("u_max", (n["NU"],)),
         ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one), ("penalty", one), ("penalty_square", one),
-        ("Z0", (n["ND"], n["ND"])), ("bent", (stages_, n["ND"], n["ND"])), ("tolerance", one), ("qp_tolerance", one),
-        ("damping", one), ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one),
+        ("Z0", (n["ND"], n["ND"])), ("bent", (stages_, n["ND"], n["ND"])),
+        ("tolerance", one), ("qp_tolerance", one), ("damping", one), ("primal_tolerance", one),
+        ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one),
         ("x", (stages_, n["NX"])), ("u", (n["N"], n["NU"])), ("covariance", (stages_, n["ND"], n["ND"])),
         ("backoff", (stages_, nl)), ("backoff_u", (n["N"], n["NU"])), ("slack", (stages_, nl)),
         *((s, one) for s in _SCALARS),
@@ -52,8 +57,11 @@ def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
 class Outcome:
     """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not solved.
 
-    kkt: residual of the KKT conditions with the multipliers of the last QP (infinite where it was not asked for);
-    step: largest change of the last iteration; times in seconds.
+    kkt: residual of the KKT conditions with the multipliers of the last QP (infinite where it was
+    not asked for); step: largest change of the last iteration; times in seconds. qp_status is
+    HPIPM's: 0 solved, 1 iteration limit, 2 smallest step, 3 NaN, -1 none was tried. With 1 and 2 a
+    plan was taken over all the same (status 0) where qp_residual, by which dynamics, commands and
+    rates were missed, was small. clipped: by how much a command of the plan was moved by its limits.
     """
 
     status: int
@@ -63,6 +71,8 @@ class Outcome:
     iterations: int
     qp_iterations: int
     qp_status: int
+    qp_residual: float
+    clipped: float
     seconds: float
     seconds_linear: float
     seconds_tube: float
@@ -96,7 +106,7 @@ class TubeSolver:
         }  # fmt: skip
         # Before all others in the process: acados brings an HPIPM of its own, of another layout.
         mode = ctypes.DEFAULT_MODE | getattr(os, "RTLD_DEEPBIND", 0)
-        self._library = ctypes.CDLL(str(_compiled(self.sizes, self.stages, kernels)), mode=mode)
+        self._library = ctypes.CDLL(str(_compiled(sources(self.sizes, self.stages, kernels))), mode=mode)
         self._library.tube_create.restype = ctypes.c_void_p
         self._library.tube_data_size.restype = ctypes.c_size_t
         self._library.tube_free.argtypes = [ctypes.c_void_p]
@@ -137,6 +147,7 @@ class TubeSolver:
         d["rate_max"][:] = problem.rate_max
         d["penalty"][()], d["penalty_square"][()] = problem.penalty, problem.penalty_square
         d["tolerance"][()], d["qp_tolerance"][()] = 1e-6, 1e-6
+        d["primal_tolerance"][()] = PRIMAL
         d["iterations_max"][()], d["qp_iterations_max"][()], d["tube_updates_max"][()] = 1, 40, 1
 
     def solve(self) -> Outcome:
@@ -167,43 +178,67 @@ def _private(libraries: Path) -> Path:
     """
     names = {"libhpipm.so": "libgbhpi.so", "libblasfeo.so.0": "libgbblasf.so.0"}
     files = {new: (libraries / old).read_bytes() for old, new in names.items()}
-    folder = cache_dir() / f"hpipm-{hashlib.sha256(b''.join(files.values())).hexdigest()[:16]}"
+    folder = cache_dir() / f"hpipm-{hashlib.sha256(b''.join(files.values())).hexdigest()}"
+    folder.mkdir(exist_ok=True, mode=0o700)
     for new, content in files.items():
-        if not (folder / new).exists():
-            folder.mkdir(exist_ok=True)
-            for old, other in names.items():
-                content = content.replace(f"\0{old}\0".encode(), f"\0{other}\0".encode())
+        for old, other in names.items():
+            content = content.replace(f"\0{old}\0".encode(), f"\0{other}\0".encode())
+        # what is there is about to be run: it must be what would be written
+        if not (folder / new).is_file() or (folder / new).read_bytes() != content:
             write_atomic(folder / new, content)
     return folder
 
 
-def _compiled(sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]) -> Path:
-    include, libraries = hpipm()
-    private = _private(libraries)
+def sources(
+    sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]
+) -> dict[str, str]:
+    """C of the stage functions and of the controller, by file name; their headers are inside."""
     with tempfile.TemporaryDirectory() as folder:
-        source = write_c(list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels)
+        source = write_c(
+            list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels
+        )
         model, header = source.source.read_text(), source.header.read_text()
     works = {
-        "ARG": max(f.sz_arg for f in source.functions), "RES": max(f.sz_res for f in source.functions),
-        "IW": max(1, *(f.sz_iw for f in source.functions)), "W": max(1, *(f.sz_w for f in source.functions)),
-    }  # fmt: skip
+        "ARG": max(f.sz_arg for f in source.functions),
+        "RES": max(f.sz_res for f in source.functions),
+        "IW": max(1, *(f.sz_iw for f in source.functions)),
+        "W": max(1, *(f.sz_w for f in source.functions)),
+    }
+    gain = ", ".join(repr(float(v)) for v in made.gain.ravel(order="F"))
     lines = [f"#define {k} {v}" for k, v in sizes.items()]
     lines += [f"#define {k}1 {max(1, sizes[k])}" for k in ("NP", "NGP", "NTH", "NFREE")]
     lines += [f"#define TUBE_{k} {v}" for k, v in works.items()]
     lines += [
         f"#define TUBE_KEEP {{{', '.join(map(str, made.keep))}}}",
         f"#define TUBE_FREE {{{', '.join(map(str, made.free or (0,)))}}}",
-        f"#define TUBE_GAIN {{{', '.join(repr(float(v)) for v in made.gain.ravel(order='F'))}}}",
+        f"#define TUBE_GAIN {{{gain}}}",
     ]
     driver = (Path(__file__).parent / "controller.c").read_text()
     headers = {"tube_model.h": header, "tube_sizes.h": "\n".join(lines) + "\n"}
     for name, text in headers.items():
         driver = driver.replace(f'#include "{name}"\n', text)
-    model = model.replace('#include "tube_model.h"\n', header)
+    return {
+        "tube_model.c": model.replace('#include "tube_model.h"\n', header),
+        "controller.c": driver,
+    }
+
+
+def link_flags() -> tuple[str, ...]:
+    """Flags of the linker for HPIPM and BLASFEO. Raises `BuildError`."""
+    private = _private(hpipm()[1])
+    return f"-L{private}", "-lgbhpi", "-l:libgbblasf.so.0", f"-Wl,-rpath,{private}"
+
+
+def _compiled(texts: dict[str, str]) -> Path:
+    include = hpipm()[0]
     return build(
         [
-            ("tube_model.c", model, (*FAST_FLAGS, "-fPIC")),
-            ("controller.c", driver, (*FAST_FLAGS, "-Wall", "-Wextra", "-fPIC", f"-I{include}")),
+            ("tube_model.c", texts["tube_model.c"], (*FAST_FLAGS, "-fPIC")),
+            (
+                "controller.c",
+                texts["controller.c"],
+                (*FAST_FLAGS, "-Wall", "-Wextra", "-fPIC", f"-I{include}"),
+            ),
         ],
-        link=(f"-L{private}", "-lgbhpi", "-l:libgbblasf.so.0", f"-Wl,-rpath,{private}"),
+        link=link_flags(),
     )

@@ -43,7 +43,7 @@ class MissingSimulator(RuntimeError):
     """The package of a simulator is not installed."""
 
     def __init__(self, package: str) -> None:
-        super().__init__(f"{package} is not installed; it comes with: pip install greybox[judge]")
+        super().__init__(f"{package} is not installed; it comes with: pip install \"greybox-sysid[judge]\"")
 
 
 @dataclass(frozen=True, kw_only=True)

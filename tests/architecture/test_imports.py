@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts")
+BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts", "shown", "plots", "distribution")
 ROOMS = (
     "statistics", "data", "model", "estimation", "validation", "automatic", "residual", "discovery", "planning", "report",
 )  # fmt: skip

@@ -27,7 +27,7 @@ from greybox.model.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 LANGUAGES = ("python", "console", "toml", "json", "c", "text")
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 

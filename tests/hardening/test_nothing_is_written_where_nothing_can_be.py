@@ -19,7 +19,8 @@ from greybox.files import OutputError, check_writable, write_json
 ROOT = Path(__file__).resolve().parents[2]
 WRITERS = {
     "greybox/files.py": "the one place",
-    "greybox/estimation/build.py": "the cache of compiled models, and temporary folders",
+    "greybox/estimation/build.py": "a temporary folder in the cache of compiled models",
+    "greybox/estimation/cache.py": "the cache of compiled models",
     "greybox/data/readers/mat_child.py": "a temporary folder of its parent",
     "greybox/discovery/proposal.py": "a temporary folder",
     "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is whole",

@@ -33,10 +33,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    folder = tmp_path / "cache" / "build"
-    folder.mkdir(parents=True)
-    monkeypatch.setattr(bundle_module, "cache_dir", lambda: folder)
-    return folder.parent / "export"
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    monkeypatch.setattr(bundle_module, "cache_root", lambda: folder)
+    return folder / "export"
 
 
 @pytest.fixture(scope="module")

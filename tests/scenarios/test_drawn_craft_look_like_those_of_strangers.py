@@ -180,7 +180,7 @@ def test_a_simulator_that_is_not_installed_is_named_with_its_extra(tmp_path, cap
         drawing.main(["--seed", "7", "--simulator", FOREIGN[0], "--out", str(tmp_path / "craft")])
         == 2
     )
-    assert "greybox[judge]" in capsys.readouterr().out
+    assert "greybox-sysid[judge]" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TextIO
 
@@ -24,6 +23,7 @@ from greybox.commands.chain.left import flight_seconds, in_words, seconds_left
 from greybox.commands.chain.record import Outcome, StageRecord, read_record, write_record
 from greybox.commands.chain.request import Request, Skip, SoFar, Stage, Work
 from greybox.commands.chain.stages import NAMES, STAGES
+from greybox.distribution import VERSION
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import checksum, file_sha256, read_json, write_atomic
 from greybox.model.verdict import NOT_JUDGED
@@ -176,7 +176,7 @@ class _Chain:
         words = [[places.get(w, w.removeprefix(out)) for w in line] for line in work.commands]
         reads = [file_sha256(p) for p in work.reads]
         names = [Path(p).name for p in self.request.inputs]
-        return checksum([words, names, self.inputs, reads, version("greybox")])
+        return checksum([words, names, self.inputs, reads, VERSION])
 
     def _work(self, stage: Stage, work: Work, key: str) -> StageRecord:
         folder = self.folders[stage.name]

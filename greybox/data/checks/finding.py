@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from greybox.data.checks.view import View
+from greybox.shown import Cell, Shown
 
 Severity = Literal["info", "warning", "blocking"]
 SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
@@ -75,8 +76,8 @@ class FlightSummary:
     rate: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckReport:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CheckReport(Shown):
     """All findings of a set of flights, the most severe first, and the checks that could not be made.
 
     `accepted` are the checks whose blocking findings somebody who knows better has overruled.
@@ -133,6 +134,20 @@ class CheckReport:
         for f in self.findings:
             groups.setdefault((f.severity, f.check, f.where, f.message), []).append(f)
         return list(groups.values())
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per finding."""
+        return [
+            {
+                "severity": f.severity, "flight": f.flight, "check": f.check, "where": f.where, "finding": f.message,
+                "usual fix": f.fix,
+            }
+            for f in self.findings
+        ]  # fmt: skip
 
     def summary(self) -> str:
         """The report as text for a terminal."""

@@ -1,7 +1,7 @@
 """Readers of logs as they come: one file per format, each with one `FORMAT`; a new format is one file and one line here.
 
 A format is recognised by the first bytes of the file, then by its ending; everything else is read as CSV. Libraries of
-a format are imported when a file of it is read (`pip install 'greybox[logs]'`).
+a format are imported when a file of it is read (the extra `logs`).
 """
 
 from __future__ import annotations

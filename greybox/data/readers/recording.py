@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from greybox.data.memory import allowance, bounded
 from greybox.data.raw import FloatArray
+from greybox.distribution import install_line
 from greybox.errors import DataError, GreyboxError
 from greybox.frames import GRAVITY
 
@@ -147,7 +148,7 @@ def library(name: str, *, where: str, what: str) -> Any:
         raise DataError(
             f"{what} needs the library '{missing.split('.')[0]}', which is not installed",
             where=where,
-            fix="pip install 'greybox[logs]'",
+            fix=install_line("logs"),
         ) from None
 
 

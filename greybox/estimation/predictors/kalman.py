@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, build
+from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, opened
 from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.problem import Block, Problem
@@ -120,8 +120,13 @@ class Filter:
             generator.add(self.lin)
             generator.add(self.move)
             driver = resources.files("greybox.estimation").joinpath("ekf.c").read_text()
-            path = build([("gb_ekf_model.c", generator.dump(), MODEL_FLAGS), ("gb_ekf.c", driver, DRIVER_FLAGS)])
-            self._library = ctypes.CDLL(str(path))
+            self._library = opened(
+                [
+                    ("gb_ekf_model.c", generator.dump(), MODEL_FLAGS),
+                    ("gb_ekf.c", driver, DRIVER_FLAGS),
+                ]
+            )
+        if self._library is not None:
             self._library.gb_ekf_buffer.restype = ctypes.c_longlong
             sizes = [ctypes.c_longlong() for _ in range(4)]
             self._library.gb_ekf_sizes(*(ctypes.byref(v) for v in sizes))

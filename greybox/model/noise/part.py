@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import numpy as np
@@ -51,6 +51,10 @@ class NoisePart(ABC):
     def name(self) -> str:
         """kind.place, the prefix of its parameters."""
 
+    def to_dict(self) -> dict[str, str | float]:
+        """Its kind and the fields of its record, for files (`kinds.noise_part` reads them)."""
+        return {"kind": self.kind, **{f.name: getattr(self, f.name) for f in fields(self)}}  # type: ignore[arg-type]
+
     @abstractmethod
     def place(self, core: Dynamics) -> Place:
         """Where it acts on `core`. Raises `UnknownNameError` where `core` has no such place."""
@@ -80,6 +84,11 @@ class NoisePart(ABC):
     @abstractmethod
     def driving(self, level: FloatArray, dt: float) -> FloatArray:
         """Start values of the levels of its driving noise; `level` as `typical` gives it for dt."""
+
+    @abstractmethod
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """Factor from the level of its driving noise per sample of `own` seconds to that per sample
+        of `dt`, for the same noise; `values` of parameters by full name."""
 
     def start(
         self, place: Place, level: FloatArray, seen: Mapping[str, FloatArray]

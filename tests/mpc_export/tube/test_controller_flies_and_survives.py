@@ -1,5 +1,6 @@
 """The controller holds a place without offset under a constant force, keeps its limits, and survives what goes wrong."""
 
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,8 +22,9 @@ class Hover:
         )
 
 
-@pytest.fixture(scope="module")
-def controller():
+@functools.cache
+def pilot():
+    """One for all tests of a process: building it takes longer than flying it. Each begins with `start`."""
     return TubeController(
         model=cases.disturbed(),
         problem=TubeProblem(dt=0.02, horizon=8, planes=2, rate_max=0.05),
@@ -30,6 +32,11 @@ def controller():
         kappa=(2.0, 2.0, 2.0),
         kappa_u=1.0,
     )
+
+
+@pytest.fixture
+def controller():
+    return pilot()
 
 
 def fly(controller, steps, *, start=None, force=0.0, seen=lambda k, y: y):

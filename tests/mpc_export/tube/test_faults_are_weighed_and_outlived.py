@@ -5,12 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from mpc_export.tube.controller import TubeController
 from mpc_export.tube.descent import BRAKE, SPEED, Descent, Watch
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
-from mpc_export.tube.problem import TubeProblem
-from tests.mpc_export import cases
-from tests.mpc_export.tube.test_controller_flies_and_survives import Hover, fly
+from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
 
 PLACE = ("x", "y", "z")
 
@@ -95,12 +92,9 @@ def test_a_reason_counts_when_it_holds_more_often_than_not():
 # ------------------------------------------------------------------------------------------------ in flight
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def controller():
-    return TubeController(
-        model=cases.disturbed(), problem=TubeProblem(dt=0.02, horizon=8, planes=2, rate_max=0.05), reference=Hover(),
-        kappa=(2.0, 2.0, 2.0), kappa_u=1.0,
-    )  # fmt: skip
+    return pilot()
 
 
 def kinds(controller):
