@@ -119,7 +119,7 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterab
     )
 
 
-FRAMES = tuple(r.name for r in RELATIONS) + ("alignment",)
+FRAMES = (*(r.name for r in RELATIONS), "alignment")
 """Checks that find axes, units or clocks wrong."""
 
 

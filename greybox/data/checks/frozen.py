@@ -57,7 +57,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         if not names or t.size <= need:
             continue
         values = np.column_stack([log.channels[n][rows] for n in names])
-        dead = [n for n, v in zip(names, values.T, strict=True) if np.nanmax(v, initial=-np.inf) == np.nanmin(v, initial=np.inf)]
+        known = np.isfinite(values)
+        low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+        dead = [n for n, same in zip(names, low == high, strict=True) if same]
         if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
             yield _dead(view, dead)
         runs = [(a, b) for a, b in frozen_runs(values, need) if _airborne(view, t[a])]

@@ -9,6 +9,7 @@ import numpy as np
 from greybox.data.channel import channel, group_names
 from greybox.data.checks.finding import Check, Finding, per_flight
 from greybox.data.checks.view import View
+from greybox.data.impossible import OUTSIDE
 
 BLOCKING_SHARE = 0.01
 COMMAND_SLACK = 0.02
@@ -48,6 +49,7 @@ def run(view: View) -> Iterator[Finding]:
                 evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
                 fix=FIXES.get(declared.group, "check unit and scale in [columns]"),
             )
+    yield from _removed(view)
     names = group_names("attitude")
     if all(n in log.channels for n in names):
         norm = np.sqrt(sum(log.channels[n] ** 2 for n in names))
@@ -63,6 +65,23 @@ def run(view: View) -> Iterator[Finding]:
                 evidence={"rows": int(bad.size), "share": share, "first_norm": float(norm[bad[0]])},
                 fix="leave the cells empty where the attitude was lost; check the column names",
             )
+
+
+def _removed(view: View) -> Iterator[Finding]:
+    """Samples inside their range that no craft can have made: every command takes them as missing."""
+    for removed in view.possible.removed:
+        if removed.reason == OUTSIDE:
+            continue
+        share = removed.count / max(int(np.isfinite(view.raw.channels[removed.channels[0]]).sum()), 1)
+        yield Finding(
+            check="ranges",
+            severity="blocking" if share > BLOCKING_SHARE else "warning",
+            flight=view.name,
+            where=f"{', '.join(removed.channels)}, first at t = {removed.first_time:.3f} s",
+            message=f"{removed.count} sample(s) taken as missing: {removed.reason}",
+            evidence={"rows": removed.count, "share": share, "worst": removed.worst},
+            fix="leave these cells empty; --keep-impossible fits them all the same",
+        )
 
 
 CHECK = Check(name="ranges", question="Is every value possible?", run=per_flight(run))

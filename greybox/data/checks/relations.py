@@ -217,7 +217,8 @@ def better_reading(
     given = readings[0][2]
     share = float(given.total().share(EYE)[0])
     every: tuple[int, ...] = (0, 1, 2)
-    tried: list[tuple[str, str, Moments, Matrix, tuple[int, ...], int]] = [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
+    tried: list[tuple[str, str, Moments, Matrix, tuple[int, ...], int]] = []
+    tried += [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
     tried += [(t.format(*names), fix, given, m, rows, len(rows)) for t, m, rows in axis_readings()]
     good = []
     for text, how, sums, turn, rows, rank in tried:

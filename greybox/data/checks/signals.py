@@ -119,7 +119,9 @@ def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> Float
     return out
 
 
-def windowed(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64], starts: npt.NDArray[np.int64], length: int) -> FloatArray:
+def windowed(
+    a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64], starts: npt.NDArray[np.int64], length: int
+) -> FloatArray:
     """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each lag, in windows of
     `length` rows from `starts` (W,) on. Zero where too little is known."""
     out = np.zeros((starts.size, lags.size))

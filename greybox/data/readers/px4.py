@@ -17,6 +17,9 @@ from greybox.data.readers.recording import Source, Stream
 MOTOR_FUNCTION = 101
 """Output function (PWM_MAIN_FUNCi and the like) of motor 1 in PX4."""
 
+VTOL = range(19, 26)
+"""MAV_TYPE of craft that also fly on wings (MAVLink): among their outputs stand servos."""
+
 QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 
 
@@ -184,6 +187,8 @@ def _commands(
 def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors: int) -> Iterator[tuple[Source, float]]:
     """The motor outputs of one instance, and how much they move (of several instances the one that moves drives)."""
     by_function = _motor_outputs(name, parameters)
+    if not by_function and servos_among(parameters):
+        return
     if by_function:
         used = tuple(f"output[{i}]" for i in by_function)
     else:
@@ -212,6 +217,11 @@ def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors:
             ),
             spread / (high - low),
         )
+
+
+def servos_among(parameters: Mapping[str, float]) -> bool:
+    """Whether servos stand among the outputs, so that without output functions no rotor is known."""
+    return int(parameters.get("MAV_TYPE", 0)) in VTOL
 
 
 def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...]:
