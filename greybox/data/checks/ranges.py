@@ -12,6 +12,8 @@ from greybox.data.checks.view import View
 from greybox.data.impossible import OUTSIDE
 
 BLOCKING_SHARE = 0.01
+REMOVED_SHARE = 0.05
+"""Missing samples harm no fit; a sensor of which so many are removed is broken."""
 COMMAND_SLACK = 0.02
 """Commands may pass their range by this share of it."""
 
@@ -75,7 +77,7 @@ def _removed(view: View) -> Iterator[Finding]:
         share = removed.count / max(int(np.isfinite(view.raw.channels[removed.channels[0]]).sum()), 1)
         yield Finding(
             check="ranges",
-            severity="blocking" if share > BLOCKING_SHARE else "warning",
+            severity="blocking" if share > REMOVED_SHARE else "warning",
             flight=view.name,
             where=f"{', '.join(removed.channels)}, first at t = {removed.first_time:.3f} s",
             message=f"{removed.count} sample(s) taken as missing: {removed.reason}",

@@ -27,10 +27,12 @@ LAG_STEP = 0.01
 LEFT = 0.7
 """What another reading may leave unexplained, as a share of what the one given leaves ..."""
 CLEAR = 3.0
-"""... below which it must be by this many standard errors."""
+"""... below which it must be by this many standard errors; ..."""
+APART = 5.0
+"""... or its correlation must be higher by this many standard errors."""
 LEAST = 1e-4
 """Shares that are left below this are rounding."""
-WHOLE = 0.995
+WHOLE = 0.9995
 """Where the reading given explains this much no other is looked for."""
 SEEN = 0.25
 """A reading must explain this share of the motion."""
@@ -83,12 +85,16 @@ class Moments:
             cross=self.cross.sum(axis=0)[None], yy=self.yy.sum(axis=0)[None], xx=self.xx.sum(axis=0)[None], lag=self.lag
         )
 
-    def share(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
-        """Share (B,) of these rows of y that the turned x explains up to a factor above zero."""
+    def correlation(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
+        """Correlation (B,) of these rows of y with those of the turned x."""
         at = list(rows)
         size = self.yy[:, at].sum(axis=1) * (self.xx @ (turn[at] ** 2).T).sum(axis=1)
         product = np.einsum("ij,bij->b", turn[at], self.cross[:, at])
-        return np.maximum(product, 0.0) ** 2 / np.maximum(size, 1e-300)
+        return product / np.sqrt(np.maximum(size, 1e-300))
+
+    def share(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
+        """Share (B,) of these rows of y that the turned x explains up to a factor above zero."""
+        return np.maximum(self.correlation(turn, rows), 0.0) ** 2
 
     def rotation(self) -> Matrix:
         """The rotation that takes x closest to y (B = 1)."""
@@ -188,8 +194,9 @@ def far_better(
     """(share that `better` explains when turned, share that `given` explains), where the first is
     clearly and far better; None where it is not.
 
-    What the one leaves over what the other leaves must be below `LEFT` by `CLEAR` standard errors
-    of its logarithm.
+    What the one leaves over what the other leaves must be below `LEFT`, and that by `CLEAR` standard
+    errors of its logarithm; or, where what is left is mostly noise, the correlations must differ by
+    `APART` standard errors.
     """
     if better.blocks != given.blocks:
         return None
@@ -197,13 +204,17 @@ def far_better(
     def left(one: Moments, other: Moments) -> FloatArray:
         return np.log((1.0 - one.share(turn, rows) + LEAST) / (1.0 - other.share(EYE, rows) + LEAST))
 
+    def ahead(one: Moments, other: Moments) -> FloatArray:
+        return one.correlation(turn, rows) - other.correlation(EYE, rows)
+
     more, less = better.total(), given.total()
     share = float(more.share(turn, rows)[0]), float(less.share(EYE, rows)[0])
     ratio = float(left(more, less)[0])
     if share[0] < SEEN or ratio > np.log(LEFT):
         return None
-    error = jackknife(left(better.left_out(), given.left_out()))
-    return share if ratio + CLEAR * error < np.log(LEFT) else None
+    parts = better.left_out(), given.left_out()
+    clear = ratio + CLEAR * jackknife(left(*parts)) < np.log(LEFT)
+    return share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
 
 
 def better_reading(

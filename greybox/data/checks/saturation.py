@@ -13,7 +13,8 @@ from greybox.data.checks.view import View
 SHARE = 0.01
 CLIPPED_ROWS = 5
 BELOW = 0.05
-"""A sensor that clips shows its largest value more often than all others within this share below it: motion passes."""
+"""A sensor that clips shows its largest value more often than all others within this share of the way from it to the
+median: motion passes."""
 SENSORS = ("rate", "specific_force")
 
 
@@ -48,7 +49,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             for size in (values, -values):
                 top = float(np.nanmax(size, initial=0.0))
                 clipped = int((size == top).sum())
-                near = int(((size < top) & (size > (1.0 - BELOW) * top)).sum())
+                near = int(((size < top) & (size > top - BELOW * (top - np.nanmedian(size)))).sum())
                 if top > 0.0 and clipped >= CLIPPED_ROWS and clipped > near:
                     yield Finding(
                         check="saturation",
