@@ -62,7 +62,7 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         dead = [n for n, same in zip(names, low == high, strict=True) if same]
         if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
             yield _dead(view, dead)
-        runs = [(a, b) for a, b in frozen_runs(values, need) if _airborne(view, t[a])]
+        runs = [(a, b) for a, b in frozen_runs(values, need) if view.in_flight(t[a])]
         if not runs or not (len(dead) == len(names) or _moves(values, need)):
             continue
         longest = max(runs, key=lambda ab: ab[1] - ab[0])
@@ -95,10 +95,6 @@ def _dead(view: View, names: list[str]) -> Finding:
         message=f"{', '.join(names)} never changes in flight, the rest of the sensor does",
         fix="leave the column out where the sensor does not measure it",
     )
-
-
-def _airborne(view: View, t: float) -> bool:
-    return view.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in view.flight.segments)
 
 
 CHECK = Check(name="frozen", question="Does a sensor repeat its last value?", run=per_flight(run))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import channel, group_names
-from greybox.data.checks.finding import Check, Finding, per_flight
+from greybox.data.checks.finding import Check, Finding, Severity, per_flight
 from greybox.data.checks.view import View
 from greybox.data.impossible import OUTSIDE
 
@@ -75,9 +75,11 @@ def _removed(view: View) -> Iterator[Finding]:
         if removed.reason == OUTSIDE:
             continue
         share = removed.count / max(int(np.isfinite(view.raw.channels[removed.channels[0]]).sum()), 1)
+        landing = removed.count == 1 and not view.in_flight(removed.first_time)
+        severity: Severity = "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
         yield Finding(
             check="ranges",
-            severity="blocking" if share > REMOVED_SHARE else "warning",
+            severity=severity,
             flight=view.name,
             where=f"{', '.join(removed.channels)}, first at t = {removed.first_time:.3f} s",
             message=f"{removed.count} sample(s) taken as missing: {removed.reason}",

@@ -87,6 +87,10 @@ class View:
         except DataError:
             return None
 
+    def in_flight(self, t: float) -> bool:
+        """Whether the log time `t` [s] lies in the airborne part."""
+        return self.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in self.flight.segments)
+
     @property
     def dt(self) -> float:
         """Sample time of `joined` [s]."""
