@@ -28,6 +28,7 @@ from greybox.data.checks import check_logs
 from greybox.data.logs import read_logs
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
+from greybox.files import append_json_line
 from greybox.model.effects import CATALOGUE
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -35,7 +36,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
 from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
-from scenarios.studies.rows import append_row, open_ended, read_rows, wilson
+from scenarios.studies.rows import open_ended, read_rows, wilson
 
 EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
@@ -81,8 +82,7 @@ def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float =
     row = {
         "vehicle": vehicle, "ingredients": ingredients, "effect": effect, "seed": seed, "verdict": found.verdict,
         "effects": {e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()} for e in content["effects"]},
-        "p_value": {e["name"]: e["p_value"] for e in content["effects"]},
-        "delta_bic": {e["name"]: e["delta_bic"] for e in content["effects"]},
+        "log10_e": {e["name"]: e["log10_e"] for e in content["effects"]},
         "groups": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
         "alternatives": {e["name"]: e["alternatives"] for e in content["effects"] if e["alternatives"]},
         "truth": {k: float(v) for e in plant.effects for k, v in e.parameters().items()},
@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             row = run(options.vehicle, ingredients, effect, seed)
             rows.append(row)
-            append_row(path, row)
+            append_json_line(path, row)
             print(line(row), flush=True)
     print(summary(rows))
 
