@@ -101,6 +101,10 @@ def run(arguments: argparse.Namespace) -> int:
     own = [e for effects in offered.values() for e in effects]
     since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
     vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
+    # The files show faults of their clocks, which reading mends.
+    faults = check_logs(
+        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+    )
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
@@ -132,10 +136,6 @@ def run(arguments: argparse.Namespace) -> int:
         if not quiet:
             print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
 
-    # The files show faults of their clocks, which reading mends.
-    faults = check_logs(
-        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
-    )
     if faults.ok:
         train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
         test = Dataset(flights=())
