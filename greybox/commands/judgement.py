@@ -31,6 +31,22 @@ def tell(report: Any, json: str | None) -> int:
     return 0 if report.ok else 1
 
 
+def accept_option(p: argparse.ArgumentParser) -> None:
+    """Declare --accept."""
+    p.add_argument(
+        "--accept",
+        default="",
+        metavar="CHECK,...",
+        help="checks whose blocking findings are overruled, by the name in brackets (frozen,motors); "
+        "the result says so",
+    )
+
+
+def accepted(text: str) -> tuple[str, ...]:
+    """The checks named by --accept."""
+    return tuple(n.strip() for n in text.split(",") if n.strip())
+
+
 def horizon_options(p: Any) -> None:
     """Declare --horizons (seconds) and --horizons-samples."""
     from greybox.validation.horizons import HORIZONS, SAMPLES
