@@ -46,6 +46,7 @@ _PUBLIC = {
     "export": "greybox.commands.front_door",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
+    "twin": "greybox.simulators.make",
     "GreyboxError": "greybox.errors",
 }
 
@@ -86,6 +87,7 @@ __all__ = [
     "read_logs",
     "read_vehicle",
     "save_model",
+    "twin",
     "validate",
     "vehicle_findings",
 ]
@@ -114,6 +116,7 @@ if TYPE_CHECKING:
     from greybox.residual.files import load_model, save_model
     from greybox.residual.from_gpytorch import from_gpytorch
     from greybox.residual.learn import learn
+    from greybox.simulators.make import twin
     from greybox.symbolic import Layout, Signal
     from greybox.validation.validate import validate
 

@@ -16,7 +16,11 @@ from typing import Any
 
 COMMANDS = (
     "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
+<<<<<<< HEAD
     "discover", "compare", "export", "mpc", "profile", "effects", "cite", "completion",
+=======
+    "discover", "compare", "export", "twin", "mpc", "effects", "cite", "completion",
+>>>>>>> twin32
 )  # fmt: skip
 
 
