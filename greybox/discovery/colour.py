@@ -58,13 +58,8 @@ def sensor_proposals(at: Fitted, causes: Causes) -> list[list[Cause]]:
         LowPass(sensor=n) if n in FILTERED else Coloured(sensor=n) for n in names
     ]
     ways = [coloured] + ([filtered] if set(names) & set(FILTERED) else [])
-    found = [[sensor_cause(p, causes.model) for p in w if not _has(at, p)] for w in ways]
+    found = [[sensor_cause(p, causes.model) for p in w if p.name not in at.structure] for w in ways]
     return [w for w in found if w]
-
-
-def _has(at: Fitted, part: SensorPart) -> bool:
-    """Whether the sensor has noise of its own, or a filter, already."""
-    return bool({f"coloured.{part.sensor}", f"low_pass.{part.sensor}"} & at.structure)
 
 
 def sensor_table(found: Fit) -> list[dict[str, Any]]:

@@ -70,7 +70,8 @@ def judged(
         status = "trace"
         reason = f"it is there, and removes {max(worth.share, 0.0):.1%} of the error at most"
     elif alike:
-        status, shares = "one of these", _shares(certificate, alike)
+        status = "one of these"
+        shares = _shares(certificate, alike, bar + float(np.log(alpha)))
     else:
         status = "certified"
     return Name(
@@ -83,9 +84,13 @@ def judged(
     )
 
 
-def _shares(certificate: Certificate, alike: Sequence[tuple[str, ...]]) -> dict[str, float]:
-    """Probability of every set, equal before the flights that judged."""
-    logs = np.array([0.0, *(-certificate.rivals[r] for r in alike)])
+def _shares(
+    certificate: Certificate, alike: Sequence[tuple[str, ...]], price: float
+) -> dict[str, float]:
+    """Probability of every set: by what the flights that judged say, and the log prior odds `price`
+    against each cause that a set has more."""
+    own = [-certificate.rivals[r] - price * (len(r) - 1) for r in alike]
+    logs = np.array([0.0, *own])
     weights = np.exp(logs - np.logaddexp.reduce(logs))
     names = (certificate.name, *("+".join(r) for r in alike))
     return dict(zip(names, weights.tolist(), strict=True))

@@ -18,6 +18,8 @@ from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
 from greybox.discovery.left import axis_gains
 from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
 
+Move = tuple[Structure, list[Mapping[Key, float]]]
+"""A structure and where its fit starts."""
 ROUNDS = 24
 """Moves after which a search ends in any case: more than any craft misses."""
 
@@ -70,7 +72,7 @@ class Search:
             if better is not None:
                 better = self._leaner(better) or better
             else:
-                better = self._leaner(at) or self._sensors(at) or self._swap(at)
+                better = self._leaner(at) or self._swap(at)
             if better is None:
                 return at
             at = better
@@ -79,31 +81,31 @@ class Search:
 
     # ---------------------------------------------------------------- moves
 
-    def _sensors(self, at: Fitted) -> Fitted | None:
-        """The structure with colour or a filter of a sensor whose innovations are not white."""
+    def _add(self, at: Fitted) -> Fitted | None:
+        """The structure with one cause, or several, more; or with noise of the sensors."""
+        scores = self.scores = scored(self.flights, at)
+        offered = self._sensors(at)
+        if len(self.named(at.structure)) < self.most:
+            promising = [p for p in proposals(scores, self.price) if p.gain > 0]
+            chosen = promising[: self.flights.effort.tried]
+            together = self._together(scores)
+            if together is not None:
+                chosen.insert(0, together)
+            chosen += [typical(self.flights, n) for n in scores.unscored]
+            offered += self._moves(at, chosen)
+        best = self._best(at, self.flights.contest(offered, at), scores)
+        if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
+            # What is not felt alone can only explain what is there and has no name.
+            moves = self._moves(at, unfelt(scores, self.flights))
+            best = self._best(at, self.flights.contest(moves, at), scores)
+        return best
+
+    def _sensors(self, at: Fitted) -> list[Move]:
+        """Colour, or a filter, of sensors whose innovations are not white."""
         ways = sensor_proposals(at, self.flights.causes)
         self.flights.causes = self.flights.causes.with_cause(*(c for way in ways for c in way))
         wanted = [at.structure | {c.name for c in way} for way in ways]
-        wanted = [s for s in wanted if self._new(at, s)]
-        return self._best(at, self.flights.contest([(s, [at.known]) for s in wanted], at))
-
-    def _add(self, at: Fitted) -> Fitted | None:
-        """The structure with one cause, or several, more."""
-        if len(self.named(at.structure)) >= self.most:
-            return None
-        scores = self.scores = scored(self.flights, at)
-        offered = proposals(scores, self.price)
-        effort = self.flights.effort
-        chosen = [p for p in offered if p.gain > 0][: effort.tried]
-        together = self._together(scores)
-        if together is not None:
-            chosen.insert(0, together)
-        chosen += [typical(self.flights, n) for n in scores.unscored]
-        best = self._best(at, self._tries(at, chosen), scores)
-        if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
-            # What is not felt alone can only explain what is there and has no name.
-            best = self._best(at, self._tries(at, unfelt(scores, self.flights)), scores)
-        return best
+        return [(s, [at.known]) for s in wanted if self._new(at, s)]
 
     def _together(self, scores: Scores) -> Proposal | None:
         """All causes that still gain next to those before them, most first."""
@@ -119,13 +121,13 @@ class Search:
             gained = more[best]
         return scores.proposal(*names) if len(names) > 1 else None
 
-    def _tries(self, at: Fitted, chosen: Iterable[Proposal]) -> list[Fitted]:
-        wanted = []
+    def _moves(self, at: Fitted, chosen: Iterable[Proposal]) -> list[Move]:
+        moves: list[Move] = []
         for p in chosen:
             structure = at.structure | set(p.causes)
             if self._new(at, structure):
-                wanted.append((structure, self._starts(at, p)))
-        return self.flights.contest(wanted, at)
+                moves.append((structure, self._starts(at, p)))
+        return moves
 
     def _new(self, at: Fitted, structure: Structure) -> bool:
         """Whether a move was not tried yet."""
@@ -157,6 +159,9 @@ class Search:
                 for n in doubted
                 if self._new(now, now.structure - {n})
             ]
+            white = frozenset(n for n in now.structure if n in self.flights.causes.effects)
+            if self._new(now, white):  # colour that was physics goes with it
+                wanted.append((white, [now.known]))
             better = self._best(now, self.flights.contest(wanted, now))
             if better is None:
                 return found
@@ -183,7 +188,7 @@ class Search:
             left = at.structure - {name}
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
-            asked: list[tuple[Structure, list[Mapping[Key, float]]]] = [(left, [known])]
+            asked: list[Move] = [(left, [known])]
             for share, names, p in scores.instead(name)[: self.flights.effort.rivals]:
                 if share < 0.5:
                     break

@@ -66,7 +66,7 @@ def test_the_status_follows_from_evidence_worth_and_size(
 
 
 def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():
-    name = judged(certificate(nothing=20.0, b=1.0, c_d=-2.0), worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
+    name = judged(certificate(nothing=20.0, b=1.0, c_d=-5.0), worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
     assert list(name.shares) == ["a", "b", "c+d"]
     assert sum(name.shares.values()) == pytest.approx(1.0)
     assert name.shares["c+d"] > name.shares["a"] > name.shares["b"]
