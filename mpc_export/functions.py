@@ -446,7 +446,8 @@ class _Builder:
         u, p = self.u, self.p
         signals = {n: u[i] for i, n in enumerate(s.inputs.names)}
         signals |= {n: p[s.parameters[n]] for n in s.exogenous}
-        free = {*unfelt_place(s.dynamics), "qw", "qx", "qy", "qz"}
+        felt = any(n.startswith("position.") for n in s.states.names)
+        free = {*(unfelt_place(s.dynamics) if felt else "xy"), "qw", "qx", "qy", "qz"}
         quiet = ca.DM.zeros(self.w.numel())
         y = s.output(self.x, u, p, quiet)
         signals |= {n: y[i] for i, n in enumerate(s.dynamics.outputs.names) if n not in free}
