@@ -16,11 +16,8 @@ from typing import Any
 
 COMMANDS = (
     "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
-<<<<<<< HEAD
-    "discover", "compare", "export", "mpc", "profile", "effects", "cite", "completion",
-=======
+    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "learn",
     "discover", "compare", "export", "twin", "mpc", "effects", "cite", "completion",
->>>>>>> twin32
 )  # fmt: skip
 
 
