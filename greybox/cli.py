@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 COMMANDS = (
-    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
     "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "learn",
     "discover", "compare", "export", "twin", "mpc", "effects", "cite", "completion",
 )  # fmt: skip
