@@ -30,8 +30,13 @@ def _inspect(so_far: SoFar) -> Work | Skip:
 def _check(so_far: SoFar) -> Work | Skip:
     request, file = so_far.request, so_far.folders["check"] / "check.json"
     logs = (*request.train, *request.test)
-    words = ("check", *logs, "--vehicle", request.vehicle, *_mapping(so_far), "--json", str(file))
-    return Work(commands=(words,), writes=(file,))
+    words = ("check", *logs, "--vehicle", request.vehicle, *_mapping(so_far), *_accept(so_far))
+    return Work(commands=((*words, "--json", str(file)),), writes=(file,))
+
+
+def _accept(so_far: SoFar) -> list[str]:
+    accept = so_far.request.accept
+    return ["--accept", ",".join(accept)] if accept else []
 
 
 def _fit(so_far: SoFar) -> Work | Skip:
@@ -50,7 +55,7 @@ def _discover(so_far: SoFar) -> Work | Skip:
     recipe = fit.get("recipe") or {}
     options = recipe.get("options") or {}
     words = ["discover", "--vehicle", request.vehicle, "--train", *_trained(so_far)]
-    words += _mapping(so_far)
+    words += [*_mapping(so_far), *_accept(so_far)]
     if recipe.get("rate"):
         words += ["--rate", f"{recipe['rate']:g}"]
     if recipe.get("kinematic_noise"):
