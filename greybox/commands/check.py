@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from greybox.commands.judgement import accept_option, accepted
+
 
 def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command to the parser."""
@@ -18,6 +20,7 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     parser.add_argument(
         "--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)"
     )
+    accept_option(parser)
     parser.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
     parser.set_defaults(run=run)
 
@@ -30,7 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
 
     vehicle = read_vehicle(arguments.vehicle)
-    report = check_logs(arguments.logs, vehicle, mapping=arguments.mapping)
+    report = check_logs(
+        arguments.logs, vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+    )
     code = tell(report, arguments.json)
     if arguments.json != "-":
         say_vehicle(vehicle, print)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
 
 
@@ -54,6 +55,7 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
+    accept_option(p)
     p.add_argument("--out", default=None, metavar="DIR",
                    help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
     p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
@@ -99,10 +101,15 @@ def run(arguments: argparse.Namespace) -> int:
     own = [e for effects in offered.values() for e in effects]
     since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
     vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
+    # The files show faults of their clocks, which reading mends.
+    faults = check_logs(
+        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+    )
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
         content.update(found.to_dict())
+        content["warnings"] = [*(f"accepted: {f.flight}: {f.message}" for f in faults.overruled), *content["warnings"]]
         ours = sys.argv[1:2] == ["discover"]
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox discover"
         has = () if found.fit is None else found.model.effects
@@ -129,8 +136,6 @@ def run(arguments: argparse.Namespace) -> int:
         if not quiet:
             print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
 
-    # The files show faults of their clocks, which reading mends.
-    faults = check_logs([*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping)
     if faults.ok:
         train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
         test = Dataset(flights=())

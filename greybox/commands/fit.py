@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
     from greybox.model.vehicle import Vehicle
+    from greybox.model.verdict import Verdict
     from greybox.validation.result import Validation
 
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.model_options import fit_with, given, model_options
+from greybox.commands.own_model import model_file_option
 
 Say = Callable[[str], None]
 
@@ -36,7 +38,8 @@ def add(subparsers: Any) -> None:
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
         "interrupted.",
     )
-    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
+    model_file_option(p, read=False)
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
     flight_log_options(p)
@@ -45,6 +48,11 @@ def add(subparsers: Any) -> None:
     horizon_options(p)
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
+    p.add_argument(
+        "--judge-left-out",
+        action="store_true",
+        help="judge on pieces of the training flights that a fit of its own leaves out, too",
+    )
     p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
@@ -63,14 +71,23 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
 
+    if (arguments.vehicle is None) == (arguments.model_file is None):
+        raise GreyboxError(
+            "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
+            fix="--vehicle V.toml",
+        )  # fmt: skip
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    if arguments.model_file is not None:
+        from greybox.commands.fit_own import run as run_own
+
+        return run_own(arguments)
     quiet = arguments.json == "-"
 
     def say(text: str) -> None:
         if not quiet:
             print(text, file=sys.stderr, flush=True)
 
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     prepared, test = _flights(arguments, vehicle)
@@ -98,12 +115,11 @@ def run(arguments: argparse.Namespace) -> int:
         result.model.save(out / "model.json")
         return content
 
-    pieces: tuple[Any, Dataset] | None = None
     try:
         if arguments.manual:
             result = fit_with(arguments, vehicle, prepared.data, progress)
         else:
-            result, pieces = _decided(arguments, vehicle, prepared, say, progress)
+            result = _decided(arguments, vehicle, prepared, say, progress)
     except Interrupted as stop:
         save(stop.kept)
         for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
@@ -115,10 +131,16 @@ def run(arguments: argparse.Namespace) -> int:
     physics = _sanity_lines(result)
     checked: dict[str, Any] | None = None
     table = ""
+    pieces: tuple[Any, Dataset] | None = None
     try:
-        seen = _validated(arguments, result, prepared, test, faults, pieces, horizons)
+        if arguments.judge_left_out or not (test.flights or arguments.manual):
+            pieces = _pieces(arguments, vehicle, prepared, result)
+        seen, left_out = _validated(arguments, result, prepared, test, faults, pieces, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
+        if test.flights and left_out is not None:
+            content["left_out"] = left_out.to_dict()
+            write_json(out / "fit.json", content)
         checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
@@ -214,11 +236,11 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
 
 def _decided(
     arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, say: Say, progress: Any
-) -> tuple[Fit, tuple[Any, Dataset] | None]:
-    """(the automatic fit, (model of the first parts of the flights, pieces left out) or None)."""
+) -> Fit:
+    """The automatic fit."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
-    from greybox.automatic.fit import fit_decided, judged_on_pieces
+    from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
 
     say("deciding what is open, on pieces of the flights that are left out:")
@@ -230,16 +252,27 @@ def _decided(
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
     say("fitting all flights:")
-    result = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    return result, judged_on_pieces(vehicle, decided, result)
+    return fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+
+
+def _pieces(
+    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, result: Fit
+) -> tuple[Any, Dataset] | None:
+    """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None where nothing can be
+    left out, and of a fit that did not arrive."""
+    from greybox.automatic.fit import on_pieces
+    from greybox.commands.model_options import explicit_recipe
+
+    recipe = result.provenance.recipe or explicit_recipe(arguments)
+    return on_pieces(vehicle, prepared.data, recipe) if result.converged else None
 
 
 def _validated(
     arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
     faults: CheckReport | None, pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
-) -> Validation:  # fmt: skip
-    """On test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
-    flights that were fitted."""
+) -> tuple[Validation, Verdict | None]:  # fmt: skip
+    """(on test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
+    flights that were fitted; the verdict on the pieces, where there are any)."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
@@ -257,11 +290,14 @@ def _validated(
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
+    left_out = None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
     if test.flights:
-        return validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
-    if pieces is not None:
-        return validate(pieces[0], pieces[1], **horizons, hints=hints, judged_on=LEFT_OUT)
-    return validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+        seen = validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
+    elif left_out is not None:
+        seen = left_out
+    else:
+        seen = validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+    return seen, None if left_out is None else left_out.verdict
 
 
 def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
@@ -292,6 +328,7 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
+    more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")
 
 

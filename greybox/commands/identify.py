@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
 
 
@@ -28,6 +29,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--guess", action="store_true", help="without a vehicle file: go on with the one guessed from the log")
     p.add_argument("--even-so", action="store_true", help="learn and export although the model was judged not usable")
+    accept_option(p)
     p.add_argument("--seed", type=int, default=0, help="seed of all stages")
     p.add_argument("--out", default="greybox-identify", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write identify.json to F ('-': standard output)")
@@ -57,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     request = Request(
         vehicle=vehicle, train=tuple(logs), test=tuple(arguments.test), out=out, mapping=arguments.mapping,
         rate=arguments.rate, seed=arguments.seed, skip=frozenset(arguments.skip), even_so=arguments.even_so,
+        accept=accepted(arguments.accept),
     )  # fmt: skip
     ours = sys.argv[1:2] == ["identify"]
     words = sys.argv[1:] if ours else ["identify", vehicle, *logs]

@@ -137,11 +137,11 @@ def uses(found: Any) -> dict[str, Any]:
     driven = "command" in groups
     measured = ("rate", "specific_force", "attitude", "position", "velocity", "rotor_speed")
     return {
-        "fit": driven and bool(sensors),
+        "fit": driven and bool(sensors) and not found.unfit,
         "sensors": list(_sensors(found)),
         "rotation": driven and bool({"rate", "attitude"} & groups),
         "translation": driven and bool({"specific_force", "velocity", "position"} & groups),
-        "speed_input": "rotor_speed" in groups and bool(sensors),
+        "speed_input": "rotor_speed" in groups and bool(sensors) and not found.unfit,
         # The stationary gain of the innovation form takes every channel to be there at every sample.
         "predictor": "kalman" if any(g.share < 0.9 for g in found.groups if g.group in measured) else "innovation",
         "open_loop_horizons": sorted(groups & {"position", "velocity", "attitude", "rate"}),
@@ -168,7 +168,7 @@ def effects(found: Any, vehicle: Any) -> dict[str, Any]:
 
 def text(content: dict[str, Any], *, every: bool = False) -> str:
     """The result for a terminal."""
-    lines = [f"{content['log']}: {content['title']}"]
+    lines = [f"{content['log']}: {content['title']}", f"  {content['verdict']}"]
     lines += [f"  {k}: {v}" for k, v in content["info"].items()]
     used = {c["from"].partition(": ")[2].partition(" [")[0] for c in content["channels"]}
     used |= {o.split(": ")[2].partition(" [")[0] for o in content["other_sources"]}
@@ -200,12 +200,13 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
             units = ", ".join(sorted({u["unit"] for u in c["channels"]} - {"1"}))
             lines.append(f"  {c['from']}{' -> ' + units if units else ''}{few}")
         good = content["uses"]
+        whole = good["fit"] or good["speed_input"]
         none = "nothing under these names (see LOOKS LIKE and NEXT)" if content["looks_like"] else "nothing"
         lines.append(
-            "  fits: " + (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
+            "  fits: " + ((", ".join(k for k in ("rotation", "translation") if good[k]) or none) if whole else "no")
             + (", also with rotor speeds as the input" if good["speed_input"] else "")
         )  # fmt: skip
-        if good["predictor"] == "kalman":
+        if whole and good["predictor"] == "kalman":
             lines.append("  some channels come slower than the rows: fit with --predictor kalman")
         for other in content["other_sources"][:8]:
             lines.append(f"  also there: {other}")

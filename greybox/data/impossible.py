@@ -3,7 +3,8 @@
 Three rules, one question: could the craft have done this? A value outside its channel's range; a
 rotor faster than 1.3 times its top speed; a single sample that stands apart from both its neighbours
 by more than the craft can move in that time (pose: by what velocity or gyro say; gyro: by what the
-rotors' torque can turn).
+rotors' torque can turn; specific force: by twice what they can push; rotor speed: by a motor that
+reaches its top speed in 20 ms; battery: by a fifth of its voltage).
 """
 
 from __future__ import annotations
@@ -25,13 +26,19 @@ Explained = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """(times, gaps to the sample before, to the one after), (n,) [s] each -> how far motion goes, (n,)."""
 PLACE, SPEED, TURN = ("x", "y", "z"), ("vx", "vy", "vz"), ("p", "q", "r")
 ATTITUDE = ("qw", "qx", "qy", "qz")
+FORCE, BATTERY = ("ax", "ay", "az"), ("vbat",)
 
+OUTSIDE = "outside its range"
 OVERSPEED = 1.3
 """Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this much."""
 APART = 20.0
 """Times the usual size of such steps (median absolute) from which a single sample stands apart."""
 MARGIN = 5.0
 """Times the change that motion explains from which a single sample stands apart."""
+SPIN_UP = 0.1
+"""Time [s] in which a motor reaches its top speed: a fifth of it with the margin."""
+SAG = 0.04
+"""Change of a battery's voltage, as a share of it: a fifth with the margin."""
 
 
 def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
@@ -69,12 +76,12 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
             continue
         with np.errstate(invalid="ignore"):
             outside = (values < declared.lower) | (values > declared.upper)
-            drop((name,), outside, values, "outside its range")
+            drop((name,), outside, values, OUTSIDE)
             if declared.group == "rotor_speed" and top is not None:
                 limit = OVERSPEED * top
                 reason = f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s"
                 drop((name,), ~outside & (values > limit), values, reason)
-    for names, limit_of in _explained(raw, vehicle).items():
+    for names, limit_of in {**_of_motors(raw, top), **_explained(raw, vehicle)}.items():
         block = np.column_stack([new.get(n, raw.channels[n]) for n in names])
         rows = _measured(raw.t, block)
         known = block[rows]
@@ -98,6 +105,18 @@ def _measured(t: FloatArray, block: FloatArray) -> IntArray:
     return later
 
 
+def _of_motors(raw: RawLog, top: float | None) -> Mapping[tuple[str, ...], Explained]:
+    """The same for each rotor, whose top speed is `top` [rad/s], and for the battery."""
+    out: dict[tuple[str, ...], Explained] = {}
+    for name in raw.channels:
+        if channel(name).group == "rotor_speed" and top is not None:
+            out[name,] = lambda t, a, b: top / SPIN_UP * 2.0 * a * b / (a + b)
+    if "vbat" in raw.channels and np.isfinite(raw.channels["vbat"]).any():
+        usual = float(np.nanmedian(raw.channels["vbat"]))
+        out[BATTERY] = lambda t, a, b: np.full_like(a, SAG * usual)
+    return out
+
+
 def _explained(raw: RawLog, vehicle: Airframe) -> Mapping[tuple[str, ...], Explained]:
     """Channel group -> how far the craft can take a sample from the line between its neighbours."""
     out: dict[tuple[str, ...], Explained] = {}
@@ -110,6 +129,8 @@ def _explained(raw: RawLog, vehicle: Airframe) -> Mapping[tuple[str, ...], Expla
     push = 2.0 * thrust / vehicle.mass.value + vehicle.gravity
     arm = max(float(np.hypot(r.position[0], r.position[1])) for r in vehicle.rotors)
     twist = arm * thrust / min(float(vehicle.inertia[i][i]) for i in range(3))
+    if have.issuperset(FORCE):
+        out[FORCE] = lambda t, a, b: np.full_like(a, 2.0 * thrust / vehicle.mass.value / MARGIN)
     # With the gaps a and b to the neighbours: a b / 2 times the second derivative, or
     # 2 a b / (a + b) times the first where that may jump.
     if have.issuperset(PLACE):

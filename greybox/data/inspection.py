@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from greybox.data.airframe import Airframe
 from greybox.data.channel import GROUPS, channel, group_names
+from greybox.data.fitness import unfit
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
@@ -86,6 +87,20 @@ class Inspection:
     raw: RawLog | None
     problem: str
 
+    @property
+    def unfit(self) -> tuple[str, ...]:
+        """Why no model can be fitted to the log; empty where one can."""
+        if self.raw is None:
+            return (self.problem,)
+        return tuple(unfit(self.raw, {g.group: g.rate for g in self.groups}))
+
+    @property
+    def verdict(self) -> str:
+        """One line: what the log is good for."""
+        if self.unfit:
+            return f"NOT USABLE: {'; '.join(self.unfit)}"
+        return "usable for a fit"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values (schema "greybox.inspect/1")."""
         return {
@@ -94,6 +109,7 @@ class Inspection:
             "sha256": self.recording.sha256,
             "format": self.format.name,
             "title": self.format.title,
+            "verdict": self.verdict,
             "info": dict(self.recording.info),
             "streams": [stream_facts(s) for s in self.recording.streams.values()],
             "dropouts": [{"start": a, "length": b} for a, b in self.recording.dropouts],

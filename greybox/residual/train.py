@@ -7,6 +7,7 @@ has to beat a constant, and the number of support points can be chosen there. Py
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -40,13 +41,25 @@ REACH = 1.5
 POLISH_SAMPLES = 2000
 
 
+def check_extra() -> None:
+    """Whether a GP can be trained here: asked before hours of other work, and without importing
+    torch. Raises `MissingExtraError`."""
+    missing = [n for n in ("torch", "gpytorch") if importlib.util.find_spec(n) is None]
+    if missing:
+        raise _missing(f"no {' and no '.join(missing)}")
+
+
+def _missing(why: object) -> MissingExtraError:
+    return MissingExtraError(
+        f"training a GP needs PyTorch and GPyTorch ({why})", fix=install_line("gp")
+    )
+
+
 def _torch() -> Any:
     try:
         from greybox.residual import torch_gp
     except ImportError as error:
-        raise MissingExtraError(
-            f"training a GP needs PyTorch and GPyTorch ({error})", fix=install_line("gp")
-        ) from None
+        raise _missing(error) from None
     return torch_gp
 
 
@@ -94,7 +107,8 @@ def train_gp(
     factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
     data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
     of the samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement. polish: gradient
-    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's (`sparse.variance_guard`).
+    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's
+    (`sparse.variance_guard`); else it is the posterior's own.
 
     Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
     `MissingExtraError` without the extra `gp`.

@@ -50,6 +50,8 @@ def test_what_an_imu_log_cannot_show_is_listed():
     assert {(u.check, u.reason) for u in report.not_judged} == {
         ("attitude", "no attitude"),
         ("alignment", "no attitude"),
+        ("acceleration", "no attitude"),
+        ("jumps", "no position, velocity or attitude"),
         ("motion", "no position with velocity"),
     }
     assert "cannot be judged: attitude (no attitude" in report.summary()
@@ -73,7 +75,7 @@ def test_what_an_imu_log_cannot_show_is_listed():
         (lambda r: scalar_last(conjugated(r)), "attitude", "world into body"),
         (lambda r: scaled(r, "u1 u2 u3 u4", 65535.0), "ranges", "outside"),
         (lambda r: scaled(r, "qw qx qy qz", 2.0), "ranges", "unit length"),
-        (lambda r: frozen(r, "p q r", 800, 1400), "frozen", "keeps the value"),
+        (lambda r: frozen(r, "p q r", 800, 1400), "frozen", "p, q, r keep the value"),
         (lambda r: with_time(r, r.t * 1e3), "clock", "hardly in seconds"),
         (lambda r: late(r, 12, "p q r ax ay az"), "alignment", "late against the attitude"),
         (lambda r: late(r, -12, "p q r ax ay az"), "alignment", "early against the attitude"),
@@ -155,7 +157,7 @@ def test_gaps_are_counted_and_a_large_one_blocks():
 
 def test_short_freeze_is_a_warning_with_its_place():
     raw = real(*STAR)
-    (finding,) = check([frozen(raw, "q", 1000, 1030)], vehicle("nanobench")).of("frozen")
+    (finding,) = check([frozen(raw, "p q r", 1000, 1030)], vehicle("nanobench")).of("frozen")
     assert finding.severity == "warning"
     assert finding.evidence["frozen_rows"] == 30
     assert finding.evidence["start_s"] == pytest.approx(raw.t[1000])

@@ -24,20 +24,22 @@ CLEAN = {("warning", "alignment")}
 
 BLOCKED = {
     "repeated rows": "clock", "clock jump": "gaps", "clock set back": "clock", "shuffled rows": "clock",
-    "time in ms": "clock", "wrong rate": "motion", "shifted clock": "alignment", "stuck sensor": "frozen",
-    "constant channel": "frozen", "quantised sensor": "frozen", "swapped axes": "attitude", "reversed axis": "attitude",
+    "time in ms": "clock", "wrong rate": "clock", "shifted clock": "alignment", "stuck sensor": "frozen",
+    "swapped axes": "attitude", "reversed axis": "attitude",
     "body axes FRD": "gravity", "world axes NED": "gravity", "gyro in deg/s": "attitude",
     "accelerometer in m/s^2": "gravity", "position in mm": "motion", "swapped motors": "motors",
     "quaternion order": "attitude", "quaternion direction": "attitude",
 }  # fmt: skip
 WARNED = {
-    "dropped rows": "gaps", "lost second": "gaps", "jitter": "clock", "spikes": "saturation", "saturated sensor": "frozen",
+    "dropped rows": "gaps", "lost second": "gaps", "jitter": "clock", "spikes": "saturation",
+    "saturated sensor": "saturation", "constant channel": "frozen",
 }  # fmt: skip
 REFUSED = {
     "truncated file": "cut off", "missing column": "motor_motor_m4", "thousands comma": "32 cells",
     "decimal comma": "semicolons",
 }  # fmt: skip
-SURVIVED = ("NaN burst", "mixed line ends", "byte order mark")
+SURVIVED = ("NaN burst", "mixed line ends", "byte order mark", "quantised sensor")
+STEP = {"quantised sensor": 0.02}
 
 
 def written(name: str, folder: Path) -> Path:
@@ -101,7 +103,8 @@ def test_faults_that_do_no_harm(name: str, tmp_path: Path) -> None:
         b = np.concatenate([s.matrix([channel]) for s in clean.segments])
         there = np.isfinite(a)
         assert np.count_nonzero(np.isfinite(b)) - np.count_nonzero(there) == (lost if channel in ("p", "az") else 0)
-        assert np.array_equal(a[there], b[there])
+        step = STEP.get(name, 0.0) if channel == "p" else 0.0
+        assert np.abs(a[there] - b[there]).max() <= 0.5 * step + 1e-12
 
 
 def test_the_page_says_what_happens() -> None:

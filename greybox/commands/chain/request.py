@@ -14,7 +14,8 @@ class Request:
     """The vehicle file, the logs, the folder of the results, and what holds for all stages.
 
     `rate` [Hz] is left to the fit where it is None. `skip` are names of stages. `even_so`: learn
-    and export although the model was judged not usable.
+    and export although the model was judged not usable. `accept` are checks whose findings do not
+    block.
     """
 
     vehicle: str
@@ -26,6 +27,7 @@ class Request:
     seed: int = 0
     skip: frozenset[str] = frozenset()
     even_so: bool = False
+    accept: tuple[str, ...] = ()
 
     @property
     def inputs(self) -> tuple[str, ...]:

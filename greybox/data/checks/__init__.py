@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterable, Sequence
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from greybox.data.airframe import Airframe
 from greybox.data.checks import (
+    acceleration,
     alignment,
     attitude,
     clock,
@@ -16,6 +18,8 @@ from greybox.data.checks import (
     frozen,
     gaps,
     gravity,
+    jumps,
+    kinematics,
     motion,
     motors,
     ranges,
@@ -35,31 +39,49 @@ from greybox.data.dataset import Dataset, Flight
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping
-from greybox.errors import DataError
+from greybox.errors import DataError, UnknownNameError
 
 __all__ = ["CHECKS", "Check", "CheckReport", "Finding", "FlightSummary", "Severity", "Unjudged", "check", "check_logs"]
 
+RELATIONS = (motion.RELATION, attitude.RELATION, acceleration.RELATION)
+"""What kinematics makes equal, each one file."""
+
+KINEMATICS = Check(
+    name="kinematics",
+    question="Do position, velocity, attitude, rates and specific force tell the same story?",
+    run=functools.partial(kinematics.run, relations=RELATIONS),
+)
+
 CHECKS: tuple[Check, ...] = (
     clock.CHECK,
+    jumps.CHECK,
     gaps.CHECK,
     frozen.CHECK,
     ranges.CHECK,
     saturation.CHECK,
     gravity.CHECK,
-    attitude.CHECK,
+    KINEMATICS,
     motors.CHECK,
     alignment.CHECK,
-    motion.CHECK,
     excitation.CHECK,
 )
 """All checks, in the order in which they are made."""
 
 
-def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
+NAMES = tuple(sorted({c.name for c in CHECKS if c is not KINEMATICS} | {r.name for r in RELATIONS}))
+"""What a finding can be of, and what can be accepted."""
+
+
+def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterable[str] = ()) -> CheckReport:
     """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows faults of its clock.
 
-    Raises `DataError` where two logs have the same name.
+    Blocking findings of the checks named in `accept` do not block; the report keeps them and says so. Raises
+    `DataError` where two logs have the same name, and `UnknownNameError` for a check that there is not.
     """
+    accepted = tuple(dict.fromkeys(accept))
+    for name in accepted:
+        if name not in NAMES:
+            raise UnknownNameError("check", name, NAMES)
     logs = [_as_raw(f) for f in data] if isinstance(data, Dataset) else list(data)
     names = [log.flight for log in logs]
     double = sorted({n for n in names if names.count(n) > 1})
@@ -68,14 +90,14 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
     flights: list[FlightSummary] = []
-    for log in logs:
-        view = View(raw=log, vehicle=vehicle)
-        for one in CHECKS:
-            for outcome in one.run(view):
-                if isinstance(outcome, Finding):
-                    findings.append(outcome)
-                else:
-                    unjudged.append(outcome)
+    views = [View(raw=log, vehicle=vehicle) for log in logs]
+    for one in CHECKS:
+        for outcome in one.run(views):
+            if isinstance(outcome, Finding):
+                findings.append(outcome)
+            else:
+                unjudged.append(outcome)
+    for log, view in zip(logs, views, strict=True):
         flights.append(
             FlightSummary(
                 name=log.flight,
@@ -89,16 +111,23 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe) -> CheckReport:
     findings, unjudged = _without_consequences(findings, unjudged)
     findings.sort(key=lambda f: SEVERITIES.index(f.severity))
     return CheckReport(
-        vehicle=vehicle.name, flights=tuple(flights), findings=tuple(findings), not_judged=tuple(unjudged)
+        vehicle=vehicle.name,
+        flights=tuple(flights),
+        findings=tuple(findings),
+        not_judged=tuple(unjudged),
+        accepted=accepted,
     )
+
+
+FRAMES = (*(r.name for r in RELATIONS), "alignment")
+"""Checks that find axes, units or clocks wrong."""
 
 
 def _without_consequences(findings: list[Finding], unjudged: list[Unjudged]) -> tuple[list[Finding], list[Unjudged]]:
     """Motors are not judged by a gyro whose axes, unit or clock are wrong."""
-    broken = {f.flight for f in findings if f.severity == "blocking" and f.check in ("attitude", "alignment")}
-    gyro = {f.flight for f in findings if f.flight in broken and f.severity == "blocking" and "p, q, r" in f.where}
-    dropped = {f.flight for f in findings if f.check == "motors" and f.flight in gyro}
-    kept = [f for f in findings if not (f.check == "motors" and f.flight in gyro)]
+    wrong = {f.flight for f in findings if f.severity == "blocking" and f.check in FRAMES and "p, q, r" in f.where}
+    dropped = {f.flight for f in findings if f.check == "motors" and f.flight in wrong}
+    kept = [f for f in findings if not (f.check == "motors" and f.flight in wrong)]
     reason = "the gyro's axes, unit or clock are wrong"
     return kept, unjudged + [Unjudged(check="motors", flight=n, reason=reason) for n in sorted(dropped)]
 
@@ -108,9 +137,10 @@ def check_logs(
     vehicle: Airframe,
     *,
     mapping: str | os.PathLike[str] | LogMapping | None = None,
+    accept: Iterable[str] = (),
 ) -> CheckReport:
-    """Read logs and look for data faults, those of the clock included. Raises what `read_table` raises."""
-    return check([read_table(p, vehicle, mapping=mapping) for p in paths], vehicle)
+    """Read logs and look for data faults, those of the clock included. Raises what `read_table` and `check` raise."""
+    return check([read_table(p, vehicle, mapping=mapping) for p in paths], vehicle, accept=accept)
 
 
 def _as_raw(flight: Flight) -> RawLog:

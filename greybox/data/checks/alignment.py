@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.checks.attitude import gyro_and_attitude_rate
-from greybox.data.checks.finding import Check, Finding, Unjudged
-from greybox.data.checks.signals import attitude_rate, best_lag, correlation, shifted, smoothed
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
+from greybox.data.checks.signals import attitude_rate, best_lag, correlation, peak, shifted, smoothed, windowed
 from greybox.data.checks.torque import torque_regression
 from greybox.data.checks.view import FloatArray, View
 
@@ -27,6 +26,9 @@ CREDIBLE = 0.7
 
 BLOCKING = 0.05
 """Median offset [s] from which a fit is blocked (and at least two samples)."""
+
+HALF_WINDOW = 0.02
+"""Rates are compared as means over twice this time [s]."""
 
 ANSWERS = 0.05
 """Share of variance that commands must explain before a delay is stated."""
@@ -50,19 +52,21 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
 
 def window_offsets(view: View) -> FloatArray:
     """(K, 3): middle of the window [s], how late the gyro is against the attitude [samples], correlation there."""
-    gyro, quaternions, half = gyro_and_attitude_rate(view)
-    rate = attitude_rate(quaternions, view.dt, half)
+    half = max(1, round(HALF_WINDOW / view.dt))
+    gyro = smoothed(view.group("rate"), half)
+    rate = attitude_rate(view.group("attitude"), view.dt, half)
     length, reach = round(WINDOW / view.dt), round(LARGEST / view.dt)
     time = view.time
     lags = np.arange(-reach, reach + 1)
+    starts = np.arange(0, max(rate.shape[0] - length, 0) + 1, max(length // 2, 1))
+    there = np.concatenate([[0], np.cumsum(np.isfinite(rate).all(axis=1))])
+    starts = starts[starts + length <= rate.shape[0]]
+    starts = starts[there[starts + length] - there[starts] >= 0.8 * length]
     out = []
-    for start in range(0, max(rate.shape[0] - length, 0) + 1, max(length // 2, 1)):
-        rows = slice(start, start + length)
-        if np.isfinite(rate[rows]).all(axis=1).mean() < 0.8:
-            continue
-        lag, peak = best_lag(gyro[rows], rate[rows], lags)
-        if peak >= CREDIBLE and abs(lag) < reach:
-            out.append((float(np.nanmean(time[rows])), lag, peak))
+    for start, scores in zip(starts, windowed(gyro, rate, lags, starts, length), strict=True):
+        lag, top = peak(scores, lags)
+        if top >= CREDIBLE and abs(lag) < reach:
+            out.append((float(np.nanmean(time[start : start + length])), lag, top))
     return np.array(out).reshape(-1, 3)
 
 
@@ -161,5 +165,5 @@ def _lift_lag(view: View) -> float | None:
 
 
 CHECK = Check(
-    name="alignment", question="Are the streams on one clock, and when does each answer to the command?", run=run
+    name="alignment", question="Are the streams on one clock, and when does each answer to the command?", run=per_flight(run)
 )

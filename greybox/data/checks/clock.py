@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.checks.finding import Check, Finding
+from greybox.data.checks.finding import Check, Finding, per_flight
 from greybox.data.checks.view import RATES, View
 from greybox.data.clock import backward_rows
 
@@ -59,4 +59,4 @@ def run(view: View) -> Iterator[Finding]:
         )
 
 
-CHECK = Check(name="clock", question="Does time go forward, in seconds, at a steady rate?", run=run)
+CHECK = Check(name="clock", question="Does time go forward, in seconds, at a steady rate?", run=per_flight(run))

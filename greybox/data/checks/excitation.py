@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.signals import smoothed
 from greybox.data.checks.torque import expected_signs
 from greybox.data.checks.view import View
@@ -63,4 +63,4 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     )
 
 
-CHECK = Check(name="excitation", question="Does every axis move enough?", run=run)
+CHECK = Check(name="excitation", question="Does every axis move enough?", run=per_flight(run))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -13,6 +13,8 @@ Severity = Literal["info", "warning", "blocking"]
 SEVERITIES: tuple[Severity, ...] = ("blocking", "warning", "info")
 
 SCHEMA = "greybox.check/1"
+MOST_NAMED = 4
+"""Flights that are named where a finding holds for many."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +47,21 @@ Outcome = Finding | Unjudged
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One check: its name, the question it answers, and the function that answers it for one flight."""
+    """One check: its name, the question it answers, and the function that answers it for the flights of a craft."""
 
     name: str
     question: str
-    run: Callable[[View], Iterable[Outcome]]
+    run: Callable[[Sequence[View]], Iterable[Outcome]]
+
+
+def per_flight(run: Callable[[View], Iterable[Outcome]]) -> Callable[[Sequence[View]], Iterable[Outcome]]:
+    """The check of one flight, made on every flight."""
+
+    def every(views: Sequence[View]) -> Iterable[Outcome]:
+        for view in views:
+            yield from run(view)
+
+    return every
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,17 +78,26 @@ class FlightSummary:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CheckReport(Shown):
-    """All findings of a set of flights, the most severe first, and the checks that could not be made."""
+    """All findings of a set of flights, the most severe first, and the checks that could not be made.
+
+    `accepted` are the checks whose blocking findings somebody who knows better has overruled.
+    """
 
     vehicle: str
     flights: tuple[FlightSummary, ...]
     findings: tuple[Finding, ...]
     not_judged: tuple[Unjudged, ...]
+    accepted: tuple[str, ...] = ()
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
         """The findings that forbid a fit."""
-        return tuple(f for f in self.findings if f.severity == "blocking")
+        return tuple(f for f in self.findings if f.severity == "blocking" and f.check not in self.accepted)
+
+    @property
+    def overruled(self) -> tuple[Finding, ...]:
+        """The findings that would forbid a fit had they not been accepted."""
+        return tuple(f for f in self.findings if f.severity == "blocking" and f.check in self.accepted)
 
     @property
     def ok(self) -> bool:
@@ -97,6 +118,7 @@ class CheckReport(Shown):
             "flights": [vars(f) for f in self.flights],
             "findings": [{**vars(f), "evidence": dict(f.evidence)} for f in self.findings],
             "not_judged": [vars(u) for u in self.not_judged],
+            "accepted": list(self.accepted),
         }
 
     @property
@@ -104,7 +126,14 @@ class CheckReport(Shown):
         """ "blocking", "warnings" or "clean"."""
         if self.blocking:
             return "blocking"
-        return "warnings" if any(f.severity == "warning" for f in self.findings) else "clean"
+        return "warnings" if any(f.severity != "info" for f in self.findings) else "clean"
+
+    def _alike(self) -> list[list[Finding]]:
+        """Findings that say the same of several flights, together."""
+        groups: dict[tuple[str, ...], list[Finding]] = {}
+        for f in self.findings:
+            groups.setdefault((f.severity, f.check, f.where, f.message), []).append(f)
+        return list(groups.values())
 
     def _shown_text(self) -> str:
         """The summary."""
@@ -123,13 +152,20 @@ class CheckReport(Shown):
     def summary(self) -> str:
         """The report as text for a terminal."""
         lines = [f"checked {len(self.flights)} log(s) of {self.vehicle}: {self.verdict}"]
-        for finding in self.findings:
+        for same in self._alike():
+            finding = same[0]
+            flights = ", ".join(f.flight for f in same[:MOST_NAMED]) + (", ..." if len(same) > MOST_NAMED else "")
+            names = flights if len(same) == 1 else f"{len(same)} flights ({flights})"
+            word = "accepted" if finding in self.overruled else finding.severity
+            lines.append(f"{word:8s} {names} [{finding.check}] {finding.where}: {finding.message}")
             numbers = ", ".join(f"{k} = {v:.4g}" for k, v in finding.evidence.items())
-            lines.append(f"{finding.severity:8s} {finding.flight} [{finding.check}] {finding.where}: {finding.message}")
             if numbers and finding.severity != "info":
                 lines.append(f"         {numbers}")
             if finding.fix and finding.severity != "info":
                 lines.append(f"         usual fix: {finding.fix}")
+        if self.overruled:
+            checks = ", ".join(dict.fromkeys(f.check for f in self.overruled))
+            lines.append(f"accepted all the same: {checks}; whatever is built on these logs carries that")
         reasons: dict[tuple[str, str], int] = {}
         for item in self.not_judged:
             reasons[item.check, item.reason] = reasons.get((item.check, item.reason), 0) + 1

@@ -1,4 +1,7 @@
-"""Check of frozen samples: a sensor that repeats its last value while the craft flies."""
+"""Check of frozen samples: a sensor that repeats its last value while the craft flies.
+
+A group is frozen when all of it is: one component may stand still.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,40 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import group_names
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import FloatArray, View
 
 GROUPS = ("rate", "specific_force", "attitude", "position", "velocity")
 FROZEN_TIME = 0.2
-"""A channel that keeps its value for this long [s] in flight is frozen ..."""
+"""A group that keeps its values for this long [s] in flight is frozen ..."""
 
 FROZEN_ROWS = 10
-"""... and for this many rows."""
+"""... and for this many rows ..."""
+
+COARSE = 3.0
+"""... in which it usually changes by more than this many of its smallest steps: coarse numbers of a calm flight repeat."""
 
 BLOCKING_SHARE = 0.05
 
 
 def frozen_runs(values: FloatArray, rows: int) -> list[tuple[int, int]]:
-    """(start, stop) of the runs of at least `rows` equal values of (N,)."""
-    same = np.concatenate([[False], np.diff(values) == 0.0, [False]]).astype(np.int8)
+    """(start, stop) of the runs of at least `rows` rows of (N, k) in which no column changes."""
+    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1), [False]]).astype(np.int8)
     edges = np.flatnonzero(np.diff(same))
     return [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if b + 1 - a >= rows]
 
 
+def _moves(values: FloatArray, rows: int) -> bool:
+    """Whether (N, k) usually changes over so many rows by more than `COARSE` of its smallest steps."""
+    step = np.abs(np.diff(values, axis=0))
+    step = step[step > 0]
+    change = np.abs(values[rows:] - values[:-rows]).max(axis=1)
+    change = change[np.isfinite(change)]
+    return bool(step.size and change.size and np.percentile(change, 75) > COARSE * step.min())
+
+
 def run(view: View) -> Iterator[Finding | Unjudged]:
-    """Findings on measured channels that stand still in flight."""
+    """Findings on measured groups that stand still in flight, and on channels that never move."""
     if view.flight is None or view.clock is None:
         yield Unjudged(check="frozen", flight=view.name, reason="no airborne stretch on a usable clock")
         return
@@ -38,34 +53,48 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     t = log.t[rows]
     need = max(FROZEN_ROWS, int(np.ceil(FROZEN_TIME / view.clock.dt)))
     for group in GROUPS:
-        for name in group_names(group):
-            if name not in log.channels:
-                continue
-            values = log.channels[name][rows]
-            runs = [(a, b) for a, b in frozen_runs(values, need) if _airborne(view, t[a])]
-            if not runs:
-                continue
-            longest = max(runs, key=lambda ab: ab[1] - ab[0])
-            total = sum(b - a for a, b in runs)
-            share = total / max(values.size, 1)
-            yield Finding(
-                check="frozen",
-                severity="blocking" if share > BLOCKING_SHARE else "warning",
-                flight=view.name,
-                where=f"channel {name}, from t = {t[longest[0]]:.3f} s",
-                message=f"keeps the value {values[longest[0]]:.6g} for {t[longest[1] - 1] - t[longest[0]]:.3f} s",
-                evidence={
-                    "frozen_rows": total,
-                    "frozen_share": share,
-                    "longest_s": float(t[longest[1] - 1] - t[longest[0]]),
-                    "start_s": float(t[longest[0]]),
-                },
-                fix="leave the cells empty where the sensor gave nothing new",
-            )
+        names = [n for n in group_names(group) if n in log.channels]
+        if not names or t.size <= need:
+            continue
+        values = np.column_stack([log.channels[n][rows] for n in names])
+        known = np.isfinite(values)
+        low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+        dead = [n for n, same in zip(names, low == high, strict=True) if same]
+        if dead and len(dead) < len(names) and group in ("rate", "specific_force"):
+            yield _dead(view, dead)
+        runs = [(a, b) for a, b in frozen_runs(values, need) if view.in_flight(t[a])]
+        if not runs or not (len(dead) == len(names) or _moves(values, need)):
+            continue
+        longest = max(runs, key=lambda ab: ab[1] - ab[0])
+        total = sum(b - a for a, b in runs)
+        share = total / max(t.size, 1)
+        seconds = float(t[longest[1] - 1] - t[longest[0]])
+        kept = ", ".join(f"{v:.6g}" for v in values[longest[0]])
+        yield Finding(
+            check="frozen",
+            severity="blocking" if share > BLOCKING_SHARE else "warning",
+            flight=view.name,
+            where=f"{', '.join(names)}, from t = {t[longest[0]]:.3f} s",
+            message=f"{', '.join(names)} keep{'s' if len(names) == 1 else ''} the value {kept} for {seconds:.3f} s",
+            evidence={
+                "frozen_rows": total,
+                "frozen_share": share,
+                "longest_s": seconds,
+                "start_s": float(t[longest[0]]),
+            },
+            fix="leave the cells empty where the sensor gave nothing new",
+        )
 
 
-def _airborne(view: View, t: float) -> bool:
-    return view.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in view.flight.segments)
+def _dead(view: View, names: list[str]) -> Finding:
+    return Finding(
+        check="frozen",
+        severity="warning",
+        flight=view.name,
+        where=", ".join(names),
+        message=f"{', '.join(names)} never changes in flight, the rest of the sensor does",
+        fix="leave the column out where the sensor does not measure it",
+    )
 
 
-CHECK = Check(name="frozen", question="Does a sensor repeat its last value?", run=run)
+CHECK = Check(name="frozen", question="Does a sensor repeat its last value?", run=per_flight(run))

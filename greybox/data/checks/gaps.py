@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import View
 from greybox.data.conditioning import MAX_GAP
 
@@ -73,4 +73,4 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
             )
 
 
-CHECK = Check(name="gaps", question="Are rows or cells missing?", run=run)
+CHECK = Check(name="gaps", question="Are rows or cells missing?", run=per_flight(run))

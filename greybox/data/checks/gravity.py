@@ -7,13 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import group_names
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
+from greybox.data.checks.relations import ANGLES
 from greybox.data.checks.signals import correlation, derivative, smoothed
 from greybox.data.checks.view import FloatArray, View
 from greybox.frames import GRAVITY, numeric
-
-TILT = (10.0, 45.0)
-"""Angle [deg] of the mean specific force from the world's up that is worth a warning, and that blocks."""
 
 FAST = 0.2
 """Vertical motion below this [m/s RMS] shows nothing."""
@@ -111,10 +109,10 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
         world[known] = numeric("rotate", quaternions[known], force[known])
         mean = np.nanmean(world, axis=0)
         angle = float(np.degrees(np.arccos(mean[2] / np.linalg.norm(mean))))
-        if angle > TILT[0]:
+        if angle > ANGLES[0]:
             text = f"the mean specific force is {angle:.0f} deg from the world's up"
             fix = "check the quaternion (body to world, z up) and the accelerometer's axes"
-            severity = "blocking" if angle > TILT[1] else "warning"
+            severity = "blocking" if angle > ANGLES[1] else "warning"
             yield _finding(view, severity, text, fix, {**evidence, "tilt_deg": angle}, "ax..az with qw..qz")
     else:
         world = force
@@ -137,4 +135,4 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
         yield _finding(view, "blocking", text, DOWN, {**evidence, "correlation": agreement}, "z")
 
 
-CHECK = Check(name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=run)
+CHECK = Check(name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=per_flight(run))

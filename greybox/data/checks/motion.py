@@ -1,61 +1,46 @@
-"""Check of the position against the velocity: millimetres, or a clock of another rate, show in their ratio.
-
-Displacements over half a second are compared with the integral of the velocity over the same time.
-"""
+"""Relation of the position to the velocity: the displacement over a time is the velocity's integral."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import numpy as np
-
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.kinematics import Relation, Streams
+from greybox.data.checks.relations import Reading
+from greybox.data.checks.signals import increments, turned
 from greybox.data.checks.view import View
 
 SPAN = 0.5
 """Time [s] over which displacements are taken."""
 
-MOVING = 0.02
-"""Displacements of less than this [m RMS] show nothing."""
 
-SEEN = 0.8
-"""Correlation of the two from which their ratio means something."""
-
-WARNING, BLOCKING = 1.25, 1.6
-"""Factors between the two, either way."""
-
-
-def run(view: View) -> Iterator[Finding | Unjudged]:
-    """A finding where position and velocity differ by a factor."""
+def streams(view: View) -> Streams | str:
+    """Displacement against integrated velocity, and against that of a velocity in body axes."""
     if not view.has("position", "velocity"):
-        yield Unjudged(check="motion", flight=view.name, reason="no position with velocity")
-        return
-    position, velocity = view.group("position"), view.group("velocity")
+        return "no position with velocity"
     n = max(1, round(SPAN / view.dt))
-    steps = 0.5 * (velocity[1:] + velocity[:-1]) * view.dt
-    there = np.isfinite(steps)
-    integral, lost = np.cumsum(np.where(there, steps, 0.0), axis=0), np.cumsum(~there, axis=0)
-    moved, told = position[n + 1 :] - position[1:-n], integral[n:] - integral[:-n]
-    use = np.isfinite(moved) & (lost[n:] == lost[:-n])
-    a, b = moved[use], told[use]
-    size = float(np.sqrt(np.mean(b**2))) if b.size else 0.0
-    if size < MOVING:
-        yield Unjudged(check="motion", flight=view.name, reason=f"the craft hardly moves ({size:.2g} m in {SPAN:g} s)")
-        return
-    ratio = float(np.sqrt(np.mean(a**2))) / size
-    correlation = float(np.mean(a * b)) / (ratio * size**2) if ratio > 0 else 0.0
-    off = max(ratio, 1 / ratio) if ratio > 0 else np.inf
-    if correlation < SEEN or off < WARNING:
-        return
-    yield Finding(
-        check="motion",
-        severity="blocking" if off > BLOCKING else "warning",
-        flight=view.name,
-        where="x, y, z against vx, vy, vz",
-        message=f"the position moves {ratio:.3g} times as far as the velocity says",
-        evidence={"position_over_velocity": ratio, "correlation": correlation},
-        fix="check the unit of both in [columns], and that the time is in seconds and of this log",
-    )
+    position, velocity = view.group("position"), view.group("velocity")
+    moved = position[n:] - position[:-n]
+    readings = [Reading(text="", fix="", y=moved, x=increments(velocity, view.dt, n))]
+    if view.has("attitude"):
+        world = turned("rotate", view.group("attitude"), velocity)
+        readings.append(
+            Reading(
+                text="the velocity is in body axes",
+                fix="rotate vx, vy, vz into the world before logging, or log the velocity of the estimator in world axes",
+                y=moved,
+                x=increments(world, view.dt, n),
+            )
+        )
+    return Streams(readings=tuple(readings), axes=("vx", "vy", "vz"), span=n)
 
 
-CHECK = Check(name="motion", question="Do position and velocity tell the same story?", run=run)
+RELATION = Relation(
+    name="motion",
+    streams="position and velocity",
+    factor="the position moves {0} times as far as the velocity says",
+    where="x, y, z against vx, vy, vz",
+    fix="correct names and signs of x, y, z or vx, vy, vz in [columns]: both in one world frame, z up",
+    least=0.02,
+    much=0.2,
+    units=((1e3, "the position is in mm", "set scale = 0.001 for x, y, z in [columns]"),),
+    blocking=1.6,
+    streams_of=streams,
+)

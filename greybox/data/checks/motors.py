@@ -1,137 +1,182 @@
 """Check of the motors: order of the commands, spin directions, and the gyro's unit where there is no attitude.
 
-The torque directions found by regression are compared with those that position and spin of the vehicle file promise.
+The torques found by regression are compared with those that position and spin of the vehicle file promise, over all
+flights of a craft together. Another order is said only where it explains far more of them.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.data.airframe import Airframe, ThrustMap, Weighed
-from greybox.data.checks.finding import Check, Finding, Unjudged
-from greybox.data.checks.torque import Torque, directions, expected_signs, torque_regression
+from greybox.data.checks.finding import Check, Finding, Severity, Unjudged
+from greybox.data.checks.relations import CLEAR, LEAST, LEFT, jackknife
+from greybox.data.checks.torque import Sums, Torque, directions, expected_signs, joined_sums, torque_regression
 from greybox.data.checks.view import FloatArray, View
 
 SEEN = 0.08
 """Share of the angular acceleration's variance that the commands must explain before a verdict on roll and pitch."""
 
 SEEN_YAW = 0.02
-AGREE = 0.5
-"""Cosine of found and promised torque directions from which they agree."""
-
-LEAD = 0.15
-"""An other order must agree by this much better, on the mean of roll and pitch."""
+AGREE = 0.25
+"""Share of what the commands explain from which torques in the promised directions agree with them."""
 
 MOST_ROTORS = 6
 """Orders are searched up to this many rotors."""
 
+AXES = ("roll", "pitch", "yaw")
 
-def run(view: View) -> Iterator[Finding | Unjudged]:
-    """Findings on motor order and spin."""
-    if not view.has("rate", "command"):
-        what = "no airborne stretch" if view.flight is None else "no gyro"
-        yield Unjudged(check="motors", flight=view.name, reason=what)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
+    """What the torques say, the same for all flights that were judged together."""
+
+    severity: Severity
+    where: str
+    message: str
+    evidence: Mapping[str, float]
+    fix: str
+
+
+def run(views: Sequence[View]) -> Iterator[Finding | Unjudged]:
+    """Findings on motor order and spin, over all flights of the craft together: the best excited weigh most."""
+    found: dict[str, Torque] = {}
+    for view in views:
+        torque = torque_regression(view) if view.has("rate", "command") else None
+        if torque is None:
+            what = "no airborne stretch" if view.flight is None else "no gyro"
+            reason = "fewer than 200 complete samples" if view.has("rate", "command") else what
+            yield Unjudged(check="motors", flight=view.name, reason=reason)
+        elif (torque.share[:2] < SEEN).any():
+            reason = "the commands explain too little of the angular acceleration (share "
+            reason += ", ".join(f"{s:.3f}" for s in torque.share) + ")"
+            yield Unjudged(check="motors", flight=view.name, reason=reason)
+        else:
+            found[view.name] = torque
+    if not found:
         return
-    found = torque_regression(view)
-    if found is None:
-        yield Unjudged(check="motors", flight=view.name, reason="fewer than 200 complete samples")
+    promised = expected_signs(views[0])
+    craft = joined_sums([t.sums for t in found.values()])
+    verdict = _order(craft, promised)
+    if verdict is not None:
+        yield from (_finding(name, verdict, len(found)) for name in found)
         return
-    seen = found.share >= np.array([SEEN, SEEN, SEEN_YAW])
-    if not seen[:2].all():
-        reason = "the commands explain too little of the angular acceleration (share "
-        reason += ", ".join(f"{s:.3f}" for s in found.share) + ")"
-        yield Unjudged(check="motors", flight=view.name, reason=reason)
-        return
-    promised = expected_signs(view)
-    agreement = (directions(found.gains) * promised).sum(axis=1)
-    steady = (directions(found.thirds) * promised).sum(axis=2)
-    evidence = {f"agreement_{a}": float(c) for a, c in zip(("roll", "pitch", "yaw"), agreement, strict=True)}
-    evidence |= {f"share_{a}": float(c) for a, c in zip(("roll", "pitch", "yaw"), found.share, strict=True)}
-    order, best = _best_order(found, promised)
-    better = float(best[:2].mean() - agreement[:2].mean()) > LEAD
-    if better or not bool((agreement[:2] >= AGREE).all()):
-        yield _disorder(view, order, best, agreement, evidence)
-        return
-    if view.vehicle.rotors and np.any(promised[2]):
-        if not seen[2]:
-            yield Unjudged(check="motors", flight=view.name, reason="too little yaw motion to see the spins")
-        elif agreement[2] < -AGREE and bool((steady[:, 2] < 0).all()):
-            yield Finding(
-                check="motors",
-                severity="blocking",
-                flight=view.name,
-                where="spin of the rotors",
-                message="the yaw torques have the opposite sign: the spins are the wrong way round",
-                evidence=evidence,
-                fix="change the sign of spin of every rotor (1 = counter-clockwise seen from above)",
-            )
-        elif agreement[2] < AGREE and bool((steady[:, 2] < AGREE).all()):
-            signs = np.sign(-directions(found.gains)[2]).astype(int).tolist()
-            yield Finding(
-                check="motors",
-                severity="warning",
-                flight=view.name,
-                where="spin of the rotors",
-                message=f"the yaw torques look like spins {signs}, the vehicle file says otherwise",
-                evidence=evidence,
-                fix="compare spin of each rotor with the craft",
-            )
-    yield from _strength(view, found, evidence)
+    for name, torque in found.items():
+        alone = _order(torque.sums, promised) if len(found) > 1 else None
+        if alone is not None:
+            text = f"in this flight {alone.message}; all flights together say otherwise"
+            yield _finding(name, replace(alone, severity="warning", message=text))
+    craft_is = [*_spins(craft, promised, max(t.share[2] for t in found.values())), *_strength(views[0].vehicle, craft)]
+    for name in found:
+        for said in craft_is:
+            if isinstance(said, str):
+                yield Unjudged(check="motors", flight=name, reason=said)
+            else:
+                yield _finding(name, said, len(found))
 
 
-def _best_order(found: Torque, promised: FloatArray) -> tuple[tuple[int, ...], FloatArray]:
-    """(order of rotors under which found and promised directions agree best, agreement (3,) there)."""
-    n = promised.shape[1]
-    seen = directions(found.gains)
-    orders = itertools.permutations(range(n)) if n <= MOST_ROTORS else iter([tuple(range(n))])
-    weights = np.array([1.0, 1.0, 0.1])
-    order = max(orders, key=lambda o: float(weights @ (seen * promised[:, o]).sum(axis=1)))
-    return order, np.asarray((seen * promised[:, order]).sum(axis=1), dtype=np.float64)
-
-
-def _disorder(
-    view: View, order: tuple[int, ...], best: FloatArray, agreement: FloatArray, evidence: dict[str, float]
-) -> Finding:
-    fix = "compare rotor positions and u1.. in [columns] with the craft, and the signs of the gyro axes"
-    text = "the torques of the commands do not fit the rotor positions"
-    moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
-    if moved and float(best[:2].min()) >= AGREE:
-        text = f"the motor order is wrong: {', '.join(moved)}"
-        fix = "reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)"
+def _finding(flight: str, verdict: Verdict, flights: int = 1) -> Finding:
     return Finding(
         check="motors",
-        severity="blocking",
-        flight=view.name,
+        severity=verdict.severity,
+        flight=flight,
+        where=verdict.where,
+        message=verdict.message,
+        evidence={**verdict.evidence, "flights": flights},
+        fix=verdict.fix,
+    )
+
+
+def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
+    """What is wrong with the order of the commands; None where the one given agrees or nothing fits far better."""
+    n = promised.shape[1]
+    agreement = sums.total.agreement(promised)[:, 0]
+    evidence = {f"agreement_{a}": float(c) for a, c in zip(AXES, agreement, strict=True)}
+    orders = itertools.permutations(range(n)) if n <= MOST_ROTORS else iter([tuple(range(n))])
+    total = sums.total
+    weights = np.array([1.0, 1.0, 0.1])
+    order = max(orders, key=lambda o: float(weights @ total.agreement(promised[:, o])[:, 0]))
+    best = total.agreement(promised[:, order])[:, 0]
+
+    def left(part: Sums) -> FloatArray:
+        other, given = (1.0 - part.agreement(p)[:2].mean(axis=0) for p in (promised[:, order], promised))
+        return np.log((other + LEAST) / (given + LEAST))
+
+    far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < np.log(LEFT)
+    moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
+    says = f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} where +1 is right)"
+    fix = "compare rotor positions and u1.. in [columns] with the craft, and the signs of the gyro axes"
+    evidence["agreement_other_order"] = float(best[:2].mean())
+    if moved and far and bool((best[:2] >= AGREE).all()):
+        return Verdict(
+            severity="blocking",
+            where="u1.. against p, q, r",
+            message=f"the motor order is wrong: {', '.join(moved)} {says}",
+            evidence=evidence,
+            fix="reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)",
+        )
+    if bool((agreement[:2] >= AGREE).all()):
+        return None
+    return Verdict(
+        severity="warning",
         where="u1.. against p, q, r",
-        message=f"{text} (roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} where +1 is right)",
-        evidence={**evidence, "agreement_other_order": float(best[:2].mean())},
+        message=f"the torques of the commands fit the rotor positions poorly {says}, and no other order fits far better",
+        evidence=evidence,
         fix=fix,
     )
 
 
-def _strength(view: View, found: Torque, evidence: dict[str, float]) -> Iterator[Finding]:
+def _spins(sums: Sums, promised: FloatArray, share: float) -> Iterator[Verdict | str]:
+    """Findings on the spins, from the yaw torques; a reason where they cannot be seen."""
+    if not np.any(promised[2]):
+        return
+    if share < SEEN_YAW:
+        yield "too little yaw motion to see the spins"
+        return
+    yaw = float(sums.total.agreement(promised)[2, 0])
+    high = yaw + CLEAR * jackknife(sums.left_out.agreement(promised)[2])
+    evidence = {"agreement_yaw": yaw, "share_yaw": share}
+    if yaw < -AGREE and high < 0.0:
+        yield Verdict(
+            severity="blocking",
+            where="spin of the rotors",
+            message="the yaw torques have the opposite sign: the spins are the wrong way round",
+            evidence=evidence,
+            fix="change the sign of spin of every rotor (1 = counter-clockwise seen from above)",
+        )
+    elif high < AGREE:
+        signs = np.sign(-directions(sums.gains())[2]).astype(int).tolist()
+        yield Verdict(
+            severity="warning",
+            where="spin of the rotors",
+            message=f"the yaw torques look like spins {signs}, the vehicle file says otherwise",
+            evidence=evidence,
+            fix="compare spin of each rotor with the craft",
+        )
+
+
+def _strength(vehicle: Airframe, sums: Sums) -> Iterator[Verdict]:
     """The gyro's unit from the size of the torque gains, where thrust and inertia are known."""
-    promised = promised_gain(view.vehicle)
+    promised = promised_gain(vehicle)
     if promised is None:
         return
-    seen = np.linalg.norm(found.gains[:2] - found.gains[:2].mean(axis=1, keepdims=True), axis=1)
-    ratio = float(np.sqrt(np.prod(seen / promised)))
+    ratio = float(np.sqrt(np.prod(np.linalg.norm(sums.gains()[:2], axis=1) / promised)))
     # Lag and smoothing take half or more of the gain: 0.15 .. 1 is usual in rad/s.
-    if ratio > 6.0 or ratio < 0.02:
-        what = "deg/s" if ratio > 6.0 else "scaled from deg/s to rad/s twice"
-        yield Finding(
-            check="motors",
-            severity="blocking",
-            flight=view.name,
-            where="p, q, r",
-            message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro is {what}",
-            evidence={**evidence, "found_over_promised": ratio},
-            fix="set the scale of p, q, r in [columns] (deg/s: 0.017453292519943295), or correct inertia and thrust",
-        )
+    if 0.02 < ratio < 6.0:
+        return
+    what = "deg/s" if ratio > 6.0 else "scaled from deg/s to rad/s twice"
+    yield Verdict(
+        severity="blocking",
+        where="p, q, r",
+        message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro is {what}",
+        evidence={"found_over_promised": ratio},
+        fix="set the scale of p, q, r in [columns] (deg/s: 0.017453292519943295), or correct inertia and thrust",
+    )
 
 
 def promised_gain(vehicle: Airframe) -> FloatArray | None:

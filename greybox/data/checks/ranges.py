@@ -7,10 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import channel, group_names
-from greybox.data.checks.finding import Check, Finding
+from greybox.data.checks.finding import Check, Finding, Severity, per_flight
 from greybox.data.checks.view import View
+from greybox.data.impossible import OUTSIDE
 
 BLOCKING_SHARE = 0.01
+REMOVED_SHARE = 0.05
+"""Missing samples harm no fit; a sensor of which so many are removed is broken."""
 COMMAND_SLACK = 0.02
 """Commands may pass their range by this share of it."""
 
@@ -48,6 +51,7 @@ def run(view: View) -> Iterator[Finding]:
                 evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
                 fix=FIXES.get(declared.group, "check unit and scale in [columns]"),
             )
+    yield from _removed(view)
     names = group_names("attitude")
     if all(n in log.channels for n in names):
         norm = np.sqrt(sum(log.channels[n] ** 2 for n in names))
@@ -65,4 +69,23 @@ def run(view: View) -> Iterator[Finding]:
             )
 
 
-CHECK = Check(name="ranges", question="Is every value possible?", run=run)
+def _removed(view: View) -> Iterator[Finding]:
+    """Samples inside their range that no craft can have made: every command takes them as missing."""
+    for removed in view.possible.removed:
+        if removed.reason == OUTSIDE:
+            continue
+        share = removed.count / max(int(np.isfinite(view.raw.channels[removed.channels[0]]).sum()), 1)
+        landing = removed.count == 1 and not view.in_flight(removed.first_time)
+        severity: Severity = "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
+        yield Finding(
+            check="ranges",
+            severity=severity,
+            flight=view.name,
+            where=f"{', '.join(removed.channels)}, first at t = {removed.first_time:.3f} s",
+            message=f"{removed.count} sample(s) taken as missing: {removed.reason}",
+            evidence={"rows": removed.count, "share": share, "worst": removed.worst},
+            fix="leave these cells empty; --keep-impossible fits them all the same",
+        )
+
+
+CHECK = Check(name="ranges", question="Is every value possible?", run=per_flight(run))

@@ -7,13 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.channel import group_names
-from greybox.data.checks.finding import Check, Finding, Unjudged
+from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import View
 
 SHARE = 0.01
 CLIPPED_ROWS = 5
-SENSOR_FLOOR = {"rate": 4.0, "specific_force": 18.0}
-"""A sensor that clips does so above this value [rad/s, m/s^2]."""
+BELOW = 0.05
+"""A sensor that clips shows its largest value more often than all others within this share of the way from it to the
+median: motion passes."""
+SENSORS = ("rate", "specific_force")
 
 
 def run(view: View) -> Iterator[Finding | Unjudged]:
@@ -39,23 +41,26 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
                 fix="fly with more headroom (lighter craft, full battery, gentler manoeuvres)",
             )
     log = view.increasing
-    for group, floor in SENSOR_FLOOR.items():
+    for group in SENSORS:
         for name in group_names(group):
             if name not in log.channels:
                 continue
-            size = np.abs(log.channels[name])
-            top = float(np.nanmax(size))
-            clipped = int((size == top).sum())
-            if top > floor and clipped >= CLIPPED_ROWS:
-                yield Finding(
-                    check="saturation",
-                    severity="warning",
-                    flight=view.name,
-                    where=f"channel {name}, row {log.rows[int(np.nanargmax(size))]}",
-                    message=f"{clipped} row(s) at the same largest value {top:.5g}: the sensor clips",
-                    evidence={"rows": clipped, "limit": top},
-                    fix="set a larger sensor range, or leave these cells empty",
-                )
+            values = log.channels[name]
+            for size in (values, -values):
+                top = float(np.nanmax(size, initial=0.0))
+                clipped = int((size == top).sum())
+                near = int(((size < top) & (size > top - BELOW * (top - np.nanmedian(size)))).sum())
+                if top > 0.0 and clipped >= CLIPPED_ROWS and clipped > near:
+                    yield Finding(
+                        check="saturation",
+                        severity="warning",
+                        flight=view.name,
+                        where=f"channel {name}, row {log.rows[int(np.nanargmax(size))]}",
+                        message=f"{clipped} row(s) at the same extreme value {top:.5g}: the sensor clips",
+                        evidence={"rows": clipped, "limit": top},
+                        fix="set a larger sensor range, or leave these cells empty",
+                    )
+                    break
 
 
-CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=run)
+CHECK = Check(name="saturation", question="Do commands or sensors reach their limits?", run=per_flight(run))

@@ -35,6 +35,42 @@ def derivative(values: FloatArray, dt: float, half: int) -> FloatArray:
     return out
 
 
+def increments(values: FloatArray, dt: float, n: int) -> FloatArray:
+    """Integral over n samples from each on, (N - n, k); missing where one of them is."""
+    steps = 0.5 * (values[1:] + values[:-1]) * dt
+    there = np.asarray(np.isfinite(steps).all(axis=1))
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(np.where(there[:, None], steps, 0.0), axis=0)])
+    lost = np.concatenate([[0], np.cumsum(~there)])
+    out = total[n:] - total[:-n]
+    out[lost[n:] != lost[:-n]] = np.nan
+    return out
+
+
+def turned(how: str, quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (N, 3) through `rotate` (body to world) or `rotate_inverse` of quaternions (N, 4)."""
+    out = np.full_like(vectors, np.nan)
+    known = np.isfinite(quaternions).all(axis=1) & np.isfinite(vectors).all(axis=1)
+    if known.any():
+        out[known] = numeric(how, quaternions[known], vectors[known])
+    return out
+
+
+def turns(quaternions: FloatArray, n: int) -> FloatArray:
+    """Rotation vector (N - n, 3) [rad] in body axes over n samples from each on, of quaternions (N, 4)."""
+    out = np.full((max(quaternions.shape[0] - n, 0), 3), np.nan)
+    before, after = quaternions[:-n], quaternions[n:]
+    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    if known.any():
+        out[known] = numeric("difference", before[known], after[known])
+    return out
+
+
+def centred(values: FloatArray) -> FloatArray:
+    """Columns (N, k) without their means."""
+    known = np.isfinite(values).all(axis=1)
+    return values - values[known].mean(axis=0) if known.any() else values
+
+
 def shifted(values: FloatArray, rows: int) -> FloatArray:
     """out[k] = values[k - rows]: positive = later; missing at the rim."""
     out = np.full_like(values, np.nan)
@@ -53,12 +89,8 @@ def shifted(values: FloatArray, rows: int) -> FloatArray:
 def attitude_rate(quaternions: FloatArray, dt: float, half: int) -> FloatArray:
     """Body rate (N, 3) [rad/s] from quaternions (N, 4): the turn over 2 half samples, divided by its time."""
     out = np.full((quaternions.shape[0], 3), np.nan)
-    before, after = quaternions[: -2 * half], quaternions[2 * half :]
-    known = np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
-    if known.any():
-        inner = np.full((before.shape[0], 3), np.nan)
-        inner[known] = numeric("difference", before[known], after[known]) / (2 * half * dt)
-        out[half:-half] = inner
+    if quaternions.shape[0] > 2 * half:
+        out[half:-half] = turns(quaternions, 2 * half) / (2 * half * dt)
     return out
 
 
@@ -87,6 +119,30 @@ def products(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> Float
     return out
 
 
+def windowed(
+    a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64], starts: npt.NDArray[np.int64], length: int
+) -> FloatArray:
+    """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each lag, in windows of
+    `length` rows from `starts` (W,) on. Zero where too little is known."""
+    out = np.zeros((starts.size, lags.size))
+    ends = starts + length
+    for i, lag in enumerate(lags.tolist()):
+        x, y = a, shifted(b, lag)
+        known = np.asarray(np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1))[:, None]
+        x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
+        k = x.shape[1]
+        columns = np.hstack([known, x, y, x * x, y * y, x * y])
+        total = np.vstack([np.zeros((1, 1 + 5 * k)), np.cumsum(columns, axis=0)])
+        sums = total[ends] - total[starts]
+        count = np.maximum(sums[:, :1], 1.0)
+        sx, sy, xx, yy, xy = (sums[:, 1 + j * k : 1 + (j + 1) * k] for j in range(5))
+        product = (xy - sx * sy / count).sum(axis=1)
+        size = np.sqrt(np.maximum((xx - sx**2 / count).sum(axis=1) * (yy - sy**2 / count).sum(axis=1), 0.0))
+        enough = (sums[:, 0] >= MINIMUM) & (size > 0)
+        out[enough, i] = product[enough] / size[enough]
+    return out
+
+
 def correlation(a: FloatArray, b: FloatArray) -> float:
     """Correlation of all columns together, (N, k) each, means removed per column; 0 where too little is known."""
     return float(np.trace(products(a, b, np.zeros(1, dtype=np.int64))[0]))
@@ -94,12 +150,16 @@ def correlation(a: FloatArray, b: FloatArray) -> float:
 
 def best_lag(a: FloatArray, b: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
     """(lag in samples, correlation) at which b, moved later by the lag, is most like a; the lag between samples too."""
-    scores = np.trace(products(a, b, lags), axis1=1, axis2=2)
+    return peak(np.trace(products(a, b, lags), axis1=1, axis2=2), lags)
+
+
+def peak(scores: FloatArray, lags: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """(lag, also between the ones tried, score there) of the highest of the scores (L,)."""
     i = int(np.argmax(scores))
-    lag, peak = float(lags[i]), float(scores[i])
+    lag, top = float(lags[i]), float(scores[i])
     if 0 < i < len(lags) - 1:
         left, right = scores[i - 1], scores[i + 1]
-        bend = left - 2 * peak + right
+        bend = left - 2 * top + right
         if bend < 0:
             lag += 0.5 * float((left - right) / bend)
-    return lag, peak
+    return lag, top

@@ -6,7 +6,8 @@ of the craft (drag), whose moment would otherwise be read as a property of the r
 
 from __future__ import annotations
 
-import functools
+import weakref
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,20 +29,74 @@ SEARCHED = (-0.2, 0.35)
 """Lags that are searched [s]: outside the plausible ones the streams are not on one clock."""
 
 
+BLOCKS = 8
+"""Blocks of time into which a flight is cut."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sums:
+    """Sums of the regression per axis and block, of one flight or several: `xx` (3, B, n, n) of the squared commands,
+    `xy` (3, B, n) of these and the angular acceleration. Everything else and the sum of the commands are taken out."""
+
+    xx: FloatArray
+    xy: FloatArray
+
+    @property
+    def total(self) -> Sums:
+        """Over all blocks, as one block."""
+        return Sums(xx=self.xx.sum(axis=1, keepdims=True), xy=self.xy.sum(axis=1, keepdims=True))
+
+    @property
+    def left_out(self) -> Sums:
+        """Over all blocks but one, for each block."""
+        return Sums(xx=self.total.xx - self.xx, xy=self.total.xy - self.xy)
+
+    def gains(self) -> FloatArray:
+        """Gains (3, n) [rad/s^2 per u^2], those of the sum of the commands left out."""
+        total = self.total
+        inverse = np.linalg.pinv(total.xx[:, 0], rcond=1e-3, hermitian=True)
+        return np.einsum("aij,aj->ai", inverse, total.xy[:, 0])
+
+    def agreement(self, promised: FloatArray) -> FloatArray:
+        """Of what the commands explain, the share (3, B) that torques in the promised directions (3, n) explain,
+        negative where they act the other way round."""
+        inverse = np.linalg.pinv(self.xx, rcond=1e-3, hermitian=True)
+        most = np.einsum("abi,abij,abj->ab", self.xy, inverse, self.xy)
+        along = np.einsum("ai,abi->ab", promised, self.xy)
+        size = np.einsum("ai,abij,aj->ab", promised, self.xx, promised)
+        return np.sign(along) * along**2 / np.maximum(size * most, 1e-300)
+
+
+def joined_sums(flights: Sequence[Sums]) -> Sums:
+    """The blocks of several flights together."""
+    return Sums(
+        xx=np.concatenate([f.xx for f in flights], axis=1), xy=np.concatenate([f.xy for f in flights], axis=1)
+    )
+
+
+def _sums(u: FloatArray, rows: npt.NDArray[np.int64], lag: int, other: FloatArray, turn: FloatArray) -> Sums:
+    """Sums (1, B, ...) of one axis."""
+    x = shifted(u, lag)[rows]
+    rest = np.column_stack([other[rows], x.sum(axis=1)])
+    x, y = _without(rest, x), _without(rest, turn[rows, None])[:, 0]
+    parts = np.array_split(np.arange(rows.size), BLOCKS)
+    return Sums(xx=np.array([[x[p].T @ x[p] for p in parts]]), xy=np.array([[x[p].T @ y[p] for p in parts]]))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Torque:
     """Per axis (roll, pitch, yaw) how the rotors turn the craft.
 
     `gains` (3, n) [rad/s^2 per u^2] of each rotor, `lag` (3,) [s] at which they explain most, `share` (3,) of variance
-    that they explain beyond everything else, `thirds` (3, 3, n) the gains in each third of the flight. These use lags that
-    a craft can have; `searched_lag` [s] and `searched_share` are the best of roll and pitch together over all lags, and
+    that they explain beyond everything else, `sums` of the regression over blocks of time. These use lags that a craft
+    can have; `searched_lag` [s] and `searched_share` are the best of roll and pitch together over all lags, and
     `plausible_share` the best of these over the plausible ones.
     """
 
     gains: FloatArray
     lag: FloatArray
     share: FloatArray
-    thirds: FloatArray
+    sums: Sums
     searched_lag: float
     searched_share: float
     plausible_share: float
@@ -56,12 +111,21 @@ class Torque:
 def _solve(x: FloatArray, y: FloatArray) -> FloatArray:
     """Least squares (k, 3); directions that the data hardly move (below 1 % of the largest) get no gain."""
     scale = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-    return np.asarray(np.linalg.lstsq(x / scale, y, rcond=1e-2)[0] / scale[:, None], dtype=np.float64)
+    scaled = x / scale
+    return np.asarray(np.linalg.pinv(scaled.T @ scaled, rcond=1e-4, hermitian=True) @ (scaled.T @ y) / scale[:, None])
 
 
-@functools.lru_cache(maxsize=2)
+_KNOWN: weakref.WeakKeyDictionary[View, Torque | None] = weakref.WeakKeyDictionary()
+
+
 def torque_regression(view: View) -> Torque | None:
     """The regression over the airborne part; None where fewer than 200 samples are complete."""
+    if view not in _KNOWN:
+        _KNOWN[view] = _regression(view)
+    return _KNOWN[view]
+
+
+def _regression(view: View) -> Torque | None:
     dt = view.dt
     half = max(1, round(HALF_WINDOW / dt))
     rate = view.group("rate")
@@ -89,19 +153,14 @@ def torque_regression(view: View) -> Torque | None:
         gains[i] = b.T
     plausible = np.flatnonzero((lags >= 0) & (lags * dt <= LARGEST_LAG + 1e-9))
     best = plausible[shares[plausible].argmax(axis=0)]
-    thirds = np.zeros((3, 3, n))
-    where = np.flatnonzero(known)
-    for k, part in enumerate(np.array_split(np.arange(where.size), 3)):
-        for axis in range(3):
-            x = _without(other[where[part]], shifted(u, int(lags[best[axis]]))[where[part]])
-            thirds[k, axis] = _solve(x, _without(other[where[part]], y[part]))[:, axis]
+    sums = [_sums(u, np.flatnonzero(known), int(lags[best[axis]]), other, turn[:, axis]) for axis in range(3)]
     axes = np.arange(3)
     both = shares[:, :2].mean(axis=1)
     return Torque(
         gains=gains[best, axes],
         lag=lags[best] * dt,
         share=shares[best, axes],
-        thirds=thirds,
+        sums=Sums(xx=np.concatenate([s.xx for s in sums]), xy=np.concatenate([s.xy for s in sums])),
         searched_lag=float(lags[both.argmax()] * dt),
         searched_share=float(both.max()),
         plausible_share=float(both[plausible].max()),
@@ -110,7 +169,10 @@ def torque_regression(view: View) -> Torque | None:
 
 def _without(other: FloatArray, y: FloatArray) -> FloatArray:
     """What is left of y after regression on the other signals."""
-    return y - other @ np.linalg.lstsq(other, y, rcond=None)[0]
+    basis, sizes = np.linalg.qr(other)
+    size = np.abs(np.diag(sizes))
+    basis = basis[:, size > 1e-12 * size.max()]
+    return y - basis @ (basis.T @ y)
 
 
 def expected_signs(view: View) -> FloatArray:

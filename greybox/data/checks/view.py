@@ -14,6 +14,7 @@ from greybox.data.channel import group_names
 from greybox.data.clock import Clock, read_clock
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Flight
+from greybox.data.impossible import without_impossible
 from greybox.data.raw import RawLog
 from greybox.errors import DataError
 
@@ -42,16 +43,22 @@ class View:
         return self.raw.flight
 
     @functools.cached_property
+    def possible(self) -> RawLog:
+        """The log without the samples that no craft can have made, as every command reads it."""
+        return without_impossible(self.raw, self.vehicle)
+
+    @functools.cached_property
     def increasing(self) -> RawLog:
-        """The log without the rows whose time is not later than all times before."""
-        t = self.raw.t
+        """The possible samples without the rows whose time is not later than all times before."""
+        raw = self.possible
+        t = raw.t
         good = np.concatenate([[True], t[1:] > np.maximum.accumulate(t)[:-1]])
         return replace(
-            self.raw,
+            raw,
             t=t[good],
-            channels={k: v[good] for k, v in self.raw.channels.items()},
+            channels={k: v[good] for k, v in raw.channels.items()},
             extra={},
-            rows=self.raw.rows[good],
+            rows=raw.rows[good],
         )
 
     @functools.cached_property
@@ -79,6 +86,10 @@ class View:
             return condition(self.increasing, self.vehicle, rate=rate)
         except DataError:
             return None
+
+    def in_flight(self, t: float) -> bool:
+        """Whether the log time `t` [s] lies in the airborne part."""
+        return self.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in self.flight.segments)
 
     @property
     def dt(self) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def read_betaflight(path: Path) -> Recording:
     library("orangebox", where=where, what="a blackbox file")
     logging.getLogger("orangebox").addHandler(logging.NullHandler())
     box = library("orangebox.parser", where=where, what="a blackbox file")
-    best: tuple[list[Any], bool, Any, int] | None = None
+    best: tuple[_Frames, Any, int] | None = None
     with damaged(where, "a blackbox file"):
         count = box.Reader(where, allow_invalid_header=True).log_count
         for index in range(1, min(count, MOST_FLIGHTS) + 1):
@@ -46,21 +47,23 @@ def read_betaflight(path: Path) -> Recording:
                 if count == 1:
                     raise
                 continue  # a damaged flight beside good ones
-            rows, whole = _frames(parser)
-            if best is None or len(rows) > len(best[0]):
-                best = (rows, whole, parser, index)
-        if best is None or len(best[0]) < 2:
+            frames = _frames(parser)
+            if best is None or len(frames.rows) > len(best[0].rows):
+                best = (frames, parser, index)
+        if best is None or len(best[0].rows) < 2:
             raise DataError("no frames in it", where=where, fix="copy the log again; log from arming to disarming")
-        rows, whole, parser, index = best
+        frames, parser, index = best
         names = list(parser.field_names)
-        table = _numbers(rows, len(names))
+        table = _numbers(frames.rows, len(names))
         headers: Mapping[str, Any] = parser.headers
     fields = {n: np.ascontiguousarray(table[:, j]) for j, n in enumerate(names) if j < table.shape[1]}
     if "time" not in fields:
         raise DataError("no field 'time'", where=where, got=", ".join(names[:8]), fix="copy the log again")
     stream = Stream(name="main", t=fields["time"] * 1e-6, fields=fields, kind="I and P frames", clock="microseconds")
     notes = [f"flight {index} of the {count} in the file (the longest)"] if count > 1 else []
-    if not whole:
+    if frames.before:
+        notes.append(f"{frames.before} frame(s) before the first whole one are left out: they are differences to nothing")
+    if not frames.whole:
         notes.append("the log ends in the middle of a frame, or is damaged from there on; it is read up to it")
     sources, said = _sources(fields, headers)
     return Recording(
@@ -74,16 +77,28 @@ def read_betaflight(path: Path) -> Recording:
     )
 
 
-def _frames(parser: Any) -> tuple[list[Any], bool]:
-    """The values of all I and P frames up to the first that the parser cannot get over, and whether there was none."""
-    rows = []
+@dataclass(frozen=True, kw_only=True)
+class _Frames:
+    """The values of all I and P frames from the first I frame up to the first frame that the parser cannot get over;
+    `before` counts P frames before it, which are differences to nothing; `whole` tells whether the parser came through."""
+
+    rows: list[Any]
+    before: int
+    whole: bool
+
+
+def _frames(parser: Any) -> _Frames:
+    rows: list[Any] = []
+    before = 0
     try:
         for frame in parser.frames():
-            if frame.type.value in "IP":
+            if frame.type.value == "I" or (frame.type.value == "P" and rows):
                 rows.append(frame.data)
+            elif frame.type.value == "P":
+                before += 1
     except (RuntimeError, ValueError, TypeError, IndexError, KeyError, AttributeError, OSError):
-        return rows, False
-    return rows, True
+        return _Frames(rows=rows, before=before, whole=False)
+    return _Frames(rows=rows, before=before, whole=True)
 
 
 def _numbers(rows: list[Any], width: int) -> Any:

@@ -17,6 +17,9 @@ from greybox.data.readers.recording import Source, Stream
 MOTOR_FUNCTION = 101
 """Output function (PWM_MAIN_FUNCi and the like) of motor 1 in PX4."""
 
+VTOL = range(19, 26)
+"""MAV_TYPE of craft that also fly on wings (MAVLink): among their outputs stand servos."""
+
 QUATERNION = ("q[0]", "q[1]", "q[2]", "q[3]")
 
 
@@ -95,6 +98,16 @@ def _velocity_frame(stream: Stream | None) -> str:
     return "NED"
 
 
+def _half_interval(span: FloatArray | None) -> float:
+    """Half of the time [s] over which a sample is a mean: microseconds, or seconds in old logs; 0 where it
+    is not known."""
+    if span is None or not span.size:
+        return 0.0
+    middle = float(np.median(span))
+    seconds = middle if middle < 1.0 else 1e-6 * middle
+    return 0.5 * seconds if 0.0 < seconds < 0.05 else 0.0
+
+
 def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
     """Gyro and accelerometer. sensor_combined and vehicle_imu are means over the time before the stamp; the filtered
     topics come after them because their low-pass adds a delay.
@@ -102,9 +115,7 @@ def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
     combined = streams.get("sensor_combined")
     delay = {}
     for group, key in (("rate", "gyro_integral_dt"), ("specific_force", "accelerometer_integral_dt")):
-        span = combined.fields.get(key) if combined else None
-        seconds = float(np.median(span)) * 1e-6 if span is not None and span.size else 0.0
-        delay[group] = 0.5 * seconds if 0.0 < seconds < 0.05 else 0.0
+        delay[group] = _half_interval(combined.fields.get(key) if combined else None)
     gyro = ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
     force = ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
     yield Source(group="rate", stream="sensor_combined", fields=gyro, frame="FRD", delay=delay["rate"])
@@ -113,14 +124,12 @@ def _imu(streams: Mapping[str, Stream]) -> Iterator[Source]:
     imus = [n for n, s in streams.items() if s.kind == "vehicle_imu"]
     for name in imus:
         for group, part in (("rate", "angle"), ("specific_force", "velocity")):
-            span = streams[name].fields.get(f"delta_{part}_dt")
-            seconds = float(np.median(span)) * 1e-6 if span is not None and span.size else 0.0
             yield Source(
                 group=group,
                 stream=name,
                 fields=tuple(f"delta_{part}[{axis}] / dt" for axis in range(3)),
                 frame="FRD",
-                delay=0.5 * seconds if 0.0 < seconds < 0.05 else 0.0,
+                delay=_half_interval(streams[name].fields.get(f"delta_{part}_dt")),
             )
     filtered = "low-pass filtered by PX4"
     yield Source(
@@ -178,6 +187,8 @@ def _commands(
 def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors: int) -> Iterator[tuple[Source, float]]:
     """The motor outputs of one instance, and how much they move (of several instances the one that moves drives)."""
     by_function = _motor_outputs(name, parameters)
+    if not by_function and servos_among(parameters):
+        return
     if by_function:
         used = tuple(f"output[{i}]" for i in by_function)
     else:
@@ -206,6 +217,11 @@ def _outputs(name: str, stream: Stream, parameters: Mapping[str, float], rotors:
             ),
             spread / (high - low),
         )
+
+
+def servos_among(parameters: Mapping[str, float]) -> bool:
+    """Whether servos stand among the outputs, so that without output functions no rotor is known."""
+    return int(parameters.get("MAV_TYPE", 0)) in VTOL
 
 
 def _motor_outputs(name: str, parameters: Mapping[str, float]) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from greybox.data.readers.px4 import rotors_of, sources_of
+from greybox.data.readers.px4 import rotors_of, servos_among, sources_of
 from greybox.data.readers.recording import (
     LogFormat,
     Recording,
@@ -60,6 +60,9 @@ def read_ulog(path: Path) -> Recording:
     if not 0.0 <= factor <= 1.0:
         notes.append(f"THR_MDL_FAC = {factor:g} is not between 0 and 1; taken as 0")
         factor = 0.0
+    if servos_among(parameters):
+        notes.append("a VTOL: servos stand among its outputs, so that outputs without a function are no rotors "
+                     "([command] fields in a mapping file say which are)")  # fmt: skip
     return Recording(
         format="ulog",
         source=path.name,

@@ -1,0 +1,105 @@
+"""Relation of the velocity to the specific force: its change over a time is the integral of the
+specific force, turned into the world by the attitude, less gravity.
+
+It sees a world frame that is turned, mirrored or upside down against the attitude, and an
+accelerometer in world or other body axes. Without an accelerometer the thrust that the commands give
+stands for it, up to its size; without a velocity the position does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.data.checks.kinematics import Relation, Streams
+from greybox.data.checks.relations import Reading
+from greybox.data.checks.signals import FloatArray, centred, derivative, increments, smoothed, turned
+from greybox.data.checks.view import View
+
+SPAN = 0.4
+"""Time [s] over which changes of velocity are taken."""
+HALF_WINDOW = 0.05
+"""A velocity from the position is its difference over twice this time [s]."""
+
+ABOUT_THRUST = {
+    "ax = ay, ay = -ax": ((0.0, 1.0), (-1.0, 0.0)),
+    "ax = -ay, ay = ax": ((0.0, -1.0), (1.0, 0.0)),
+    "ax = -ax, ay = -ay": ((-1.0, 0.0), (0.0, -1.0)),
+    "ax = ay, ay = ax": ((0.0, 1.0), (1.0, 0.0)),
+    "ax = -ay, ay = -ax": ((0.0, -1.0), (-1.0, 0.0)),
+    "ax = -ax": ((-1.0, 0.0), (0.0, 1.0)),
+    "ay = -ay": ((1.0, 0.0), (0.0, -1.0)),
+}
+"""Axes of an accelerometer whose z is right: those that gravity does not show."""
+
+
+def streams(view: View) -> Streams | str:
+    """Change of velocity against integrated specific force, in the readings of both.
+
+    Means are left out: a bias, or an attitude that is off by a few degrees.
+    """
+    if not view.has("attitude"):
+        return "no attitude"
+    if not (view.has("velocity") or view.has("position")):
+        return "no velocity or position"
+    n, dt = max(1, round(SPAN / view.dt)), view.dt
+    quaternions = view.group("attitude")
+    measured = view.has("specific_force")
+    force = view.group("specific_force") if measured else _thrust(view)
+    half = max(1, round(HALF_WINDOW / dt))
+    moving = view.has("velocity")
+    velocity = view.group("velocity") if moving else derivative(view.group("position"), dt, half)
+    change = centred(velocity[n:] - velocity[:-n])
+
+    def reading(text: str, fix: str, world: FloatArray) -> Reading:
+        same = world if moving else smoothed(world, half)
+        return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
+
+    fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
+    quaternion = "negate qx, qy, qz in [columns]: the quaternion turns body into world"
+    readings = [
+        reading("", "", turned("rotate", quaternions, force)),
+        reading("the quaternion turns world into body", quaternion, turned("rotate_inverse", quaternions, force)),
+    ]
+    if measured:
+        readings.append(reading("the specific force is in world axes", fix, force))
+        for text, matrix in ABOUT_THRUST.items():
+            other = np.column_stack([force[:, :2] @ np.array(matrix).T, force[:, 2]])
+            readings.append(reading(f"the accelerometer's {text}", fix, turned("rotate", quaternions, other)))
+    if moving:
+        world = turned("rotate", quaternions, velocity)
+        body = "rotate vx, vy, vz into the world before logging, or log the velocity in world axes"
+        given = readings[0]
+        readings.append(
+            Reading(text="the velocity is in body axes", fix=body, y=centred(world[n:] - world[:-n]), x=given.x)
+        )
+    return Streams(
+        readings=tuple(readings),
+        axes=("the world's x", "y", "z"),
+        span=n,
+        power=-1.0 if moving else -2.0,
+        scaled=measured,
+        where=f"{'vx, vy, vz' if moving else 'x, y, z'} against {'ax..az' if measured else 'u1..'} with qw..qz",
+    )
+
+
+def _thrust(view: View) -> FloatArray:
+    """What the commands push along the body's z, as if it carried the weight on average (N, 3)."""
+    lift = (view.group("command") ** 2).sum(axis=1)
+    mean = float(np.nanmean(lift)) if np.isfinite(lift).any() else 0.0
+    out = np.zeros((lift.size, 3))
+    out[:, 2] = lift / mean * view.vehicle.gravity if mean > 0 else np.nan
+    return out
+
+
+RELATION = Relation(
+    name="acceleration",
+    streams="velocity and specific force",
+    factor="the velocity changes {0} times as much as the specific force says",
+    where="vx, vy, vz against ax..az with qw..qz",
+    fix="bring position, velocity and attitude into one world frame (east, north, up) in [columns]",
+    least=0.05,
+    much=0.4,
+    units=(),
+    blocking=1.7,
+    streams_of=streams,
+)

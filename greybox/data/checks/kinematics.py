@@ -1,0 +1,284 @@
+"""Check of the measured channels against each other: axes, frames, signs, factors, delays, and the
+clock's rate, over each flight and over all flights of the craft together.
+
+What is found in a flight is said of that flight; what only all flights together show is said of
+each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
+from greybox.data.checks.relations import (
+    SEEN,
+    WHOLE,
+    Better,
+    Factor,
+    Moments,
+    Reading,
+    better_reading,
+    factor,
+    far_better,
+    joined,
+    moments,
+)
+from greybox.data.checks.view import View
+
+REACH = 0.15
+"""Largest delay between two streams that is looked for [s]."""
+LATE = 0.05
+"""Delays from here on are said [s], and from two samples."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Streams:
+    """Two streams of a flight in all readings, the one given first. `axes` names those of x, `span`
+    [samples] of the increments. A clock that runs c times as fast makes y c ** `power` times as
+    large against x; `scaled` is False where sizes mean nothing."""
+
+    readings: tuple[Reading, ...]
+    axes: tuple[str, str, str]
+    span: int
+    power: float = -1.0
+    scaled: bool = True
+    where: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relation:
+    """Two streams that kinematics makes equal: `name` of the check, its words, and how large motion
+    must be (RMS of the increments of y): `least` to be judged, `much` to be missed where no
+    reading explains it. `units` are factors that have a name: (factor, what it means, fix).
+    `blocking` is the factor from which a fit is blocked."""
+
+    name: str
+    streams: str
+    factor: str
+    where: str
+    fix: str
+    least: float
+    much: float
+    units: tuple[tuple[float, str, str], ...]
+    blocking: float
+    streams_of: Callable[[View], Streams | str]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Related:
+    """One relation in one flight (or in several): sums of every reading and of the given one
+    without a delay, and the size of the motion."""
+
+    streams: Streams
+    sums: tuple[tuple[str, str, Moments], ...]
+    prompt: Moments | None
+    size: float
+    sample: float
+
+    @property
+    def given(self) -> Moments:
+        """Sums of the reading given."""
+        return self.sums[0][2]
+
+
+def related(relation: Relation, view: View) -> Related | str:
+    """The relation in one flight, or why it cannot be judged there."""
+    if view.flight is None:
+        return "no airborne stretch"
+    streams = relation.streams_of(view)
+    if isinstance(streams, str):
+        return streams
+    first = streams.readings[0]
+    y = first.y[np.isfinite(first.y).all(axis=1)]
+    size = float(np.sqrt((y**2).sum(axis=1).mean())) if y.size else 0.0
+    if size < relation.least:
+        return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
+    sums: list[tuple[str, str, Moments]] = []
+    for reading in streams.readings:
+        if sums and _share(sums[0][2]) > WHOLE:
+            break
+        found = moments(reading, view.dt, streams.span, REACH)
+        if found is not None:
+            sums.append((reading.text, reading.fix, found))
+        elif not sums:
+            return "too short"
+    prompt = moments(first, view.dt, streams.span, 0.0)
+    return Related(streams=streams, sums=tuple(sums), prompt=prompt, size=size, sample=view.dt)
+
+
+def together(parts: Sequence[Related]) -> Related:
+    """Several flights as one, with the readings that all have."""
+    texts = [t for t, _, _ in parts[0].sums if all(t in [s[0] for s in p.sums] for p in parts)]
+    sums = []
+    for text in texts:
+        found = [next(s for s in p.sums if s[0] == text) for p in parts]
+        sums.append((text, found[0][1], joined([f[2] for f in found])))
+    size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
+    return Related(streams=parts[0].streams, sums=tuple(sums), prompt=None, size=size, sample=parts[0].sample)
+
+
+def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dict[str, Related]]:
+    """The findings of a relation on all flights, and the flights on which the reading given holds."""
+    out: list[Outcome] = []
+    holds: dict[str, Related] = {}
+    for view in views:
+        found = related(relation, view)
+        if isinstance(found, str):
+            out.append(Unjudged(check=relation.name, flight=view.name, reason=found))
+            continue
+        better = _better(relation, found)
+        if better is not None:
+            out.append(_misread(relation, view.name, found, better))
+        else:
+            holds[view.name] = found
+    if len(holds) > 1:
+        all_of_them = together(list(holds.values()))
+        better = _better(relation, all_of_them)
+        if better is not None:
+            out += [_misread(relation, name, all_of_them, better, len(holds)) for name in holds]
+            holds = {}
+    for name, found in list(holds.items()):
+        if _share(found.given) < SEEN:
+            del holds[name]
+            if found.size > relation.much:
+                out.append(_unlike(relation, name, found))
+    return out, holds
+
+
+def _share(sums: Moments) -> float:
+    return float(sums.total().share(np.eye(3))[0])
+
+
+def _better(relation: Relation, found: Related) -> Better | None:
+    return better_reading(found.sums, found.streams.axes, relation.fix)
+
+
+def _misread(relation: Relation, flight: str, found: Related, better: Better, flights: int = 1) -> Finding:
+    evidence = {"share_as_given": better.given_share, "share_explained": better.share}
+    if better.angle:
+        evidence |= {"angle_deg": better.angle, "angle_error_deg": better.angle_error}
+    if flights > 1:
+        evidence["flights"] = flights
+    message = f"{relation.streams} agree only when {better.text}"
+    message += f" (explains {100 * better.share:.0f} % of the motion, as given {100 * better.given_share:.0f} %)"
+    return Finding(
+        check=relation.name,
+        severity="blocking" if better.blocks else "warning",
+        flight=flight,
+        where=found.streams.where or relation.where,
+        message=message,
+        evidence=evidence,
+        fix=better.fix,
+    )
+
+
+def _unlike(relation: Relation, flight: str, found: Related) -> Finding:
+    share = _share(found.given)
+    return Finding(
+        check=relation.name,
+        severity="warning",
+        flight=flight,
+        where=found.streams.where or relation.where,
+        message=f"{relation.streams} agree poorly (correlation {np.sqrt(share):.2f}) in every reading",
+        evidence={"share_as_given": share, "motion_rms": found.size},
+        fix="check what both columns hold, their noise, and that both are on one clock",
+    )
+
+
+def run(views: Sequence[View], relations: Sequence[Relation]) -> Iterator[Outcome]:
+    """Findings of all relations; a factor that all of them share is the clock's."""
+    held: dict[str, dict[str, Related]] = {}
+    for relation in relations:
+        outcomes, held[relation.name] = judge(relation, views)
+        yield from outcomes
+    pooled = {n: together(list(f.values())).given for n, f in held.items() if len(f) > 1}
+    for view in views:
+        there = {r.name: held[r.name][view.name] for r in relations if view.name in held[r.name]}
+        yield from _sizes(view.name, relations, there, pooled)
+        for relation in relations:
+            if relation.name in there and relation.name != "attitude":  # its delay is the alignment's
+                yield from _late(relation, view.name, there[relation.name])
+
+
+def _sizes(
+    flight: str,
+    relations: Sequence[Relation],
+    there: Mapping[str, Related],
+    pooled: Mapping[str, Moments],
+) -> Iterator[Finding]:
+    """Findings on factors: of the clock where two relations give the same one, of channels otherwise."""
+    factors = {n: f for n, r in there.items() if r.streams.scaled and (f := factor(r.given)) is not None}
+    clocks = {n: f.to_the(1.0 / there[n].streams.power) for n, f in factors.items()}
+    off = [c for c in clocks.values() if c.clear]
+    low, high = max((c.low for c in off), default=0.0), min((c.high for c in off), default=0.0)
+    if len(off) >= 2 and low <= high:
+        rate = 0.5 * (low + high)
+        yield Finding(
+            check="clock",
+            severity="blocking",
+            flight=flight,
+            where="t",
+            message=f"the time runs {rate:.3g} times as fast as the motion: {', '.join(clocks)} say so alike",
+            evidence={"clock_rate": rate, "lowest": low, "highest": high},
+            fix="correct the time stamps (scale of t in [columns]), or the rate at which the log was written",
+        )
+        return
+    for relation in relations:
+        if relation.name in there and there[relation.name].streams.scaled:
+            yield from _factor(relation, flight, there[relation.name], pooled.get(relation.name))
+
+
+def _factor(relation: Relation, flight: str, found: Related, pooled: Moments | None) -> Iterator[Finding]:
+    """A finding where y and x differ by a factor, in all axes or in some, in this flight or in all."""
+    for sums in (found.given, pooled) if pooled is not None else (found.given,):
+        axes = {a: factor(sums, [i]) for i, a in enumerate(found.streams.axes)}
+        clear = {a: f for a, f in axes.items() if f is not None and f.clear}
+        total = factor(sums)
+        sound = [a for a, f in axes.items() if f is not None and f.low < 1.0 < f.high]
+        if total is not None and total.clear and not (clear and sound):
+            yield _of_size(relation, flight, found, total, "")
+            return
+        if clear:
+            worst = max(clear, key=lambda a: abs(np.log(clear[a].value)))
+            yield _of_size(relation, flight, found, clear[worst], f" in {', '.join(clear)}")
+            return
+
+
+def _of_size(relation: Relation, flight: str, found: Related, size: Factor, which: str) -> Finding:
+    text, fix = relation.factor.format(f"{size.value:.3g}") + which, "check the scales of both in [columns]"
+    for usual, meaning, mend in relation.units:
+        if 0.5 < size.value / usual < 2.0:
+            text, fix = f"{meaning} ({text})", mend
+    severity: Severity = "blocking" if max(size.low, 1.0 / size.high) > relation.blocking else "warning"
+    return Finding(
+        check=relation.name,
+        severity=severity,
+        flight=flight,
+        where=found.streams.where or relation.where,
+        message=text,
+        evidence={"factor": size.value, "lowest": size.low, "highest": size.high},
+        fix=fix,
+    )
+
+
+def _late(relation: Relation, flight: str, found: Related) -> Iterator[Finding]:
+    """A finding where the streams agree far better with a delay."""
+    late = found.given.lag
+    if found.prompt is None or abs(late) < max(LATE, 2.0 * found.sample):
+        return
+    shares = far_better(found.given, found.prompt)
+    if shares is None:
+        return
+    first, _, second = relation.streams.partition(" and ")
+    yield Finding(
+        check=relation.name,
+        severity="warning",
+        flight=flight,
+        where=found.streams.where or relation.where,
+        message=f"{first} is {1e3 * abs(late):.0f} ms {'late' if late > 0 else 'early'} against {second}",
+        evidence={"delay_s": late, "share_explained": shares[0], "share_as_given": shares[1]},
+        fix="log all streams with one clock, stamped at the source; or shift one of them",
+    )

@@ -1,0 +1,325 @@
+"""How two measured streams relate: which reading of their axes explains the motion, by which factor,
+how late. One estimation for position, velocity, attitude, rates and specific force.
+
+Both streams are increments over the same span that kinematics makes equal, y = x. A reading (other
+axes, signs, another frame) predicts another x or y. Readings are compared by the share of y's sum of
+squares that they explain once size is set aside, the squared correlation; how sure a difference is
+comes from leaving out one block of time after the other (jackknife). Rotations are those of Wahba's
+problem (SIAM Review 7(3), 1965), solved by singular values (Markley, J. Astronaut. Sci. 36(3), 1988).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.checks.signals import FloatArray
+
+BLOCK = 2.0
+"""Length of the blocks [s] that are left out one by one; shorter where a flight has fewer than 8."""
+FEWEST_BLOCKS = 5
+LAG_STEP = 0.01
+"""Steps of the lags that are tried [s]."""
+LEFT = 0.7
+"""What another reading may leave unexplained, as a share of what the one given leaves ..."""
+CLEAR = 3.0
+"""... below which it must be by this many standard errors; ..."""
+APART = 5.0
+"""... or its correlation must be higher by this many standard errors."""
+LEAST = 1e-4
+"""Shares that are left below this are rounding."""
+WHOLE = 0.9995
+"""Where the reading given explains this much no other is looked for."""
+SEEN = 0.25
+"""A reading must explain this share of the motion."""
+RATIO = 1.05
+"""Factors between two streams are said from here on."""
+ANGLES = (5.0, 9.0)
+"""Rotations [deg] that are worth a warning, and that block: no craft is mounted like that."""
+
+Matrix = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """One reading of the columns: what it says ("" for the one given), how to mend the columns, and
+    the increments that it makes equal, (N, 3) each."""
+
+    text: str
+    fix: str
+    y: FloatArray
+    x: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moments:
+    """Sums over blocks of time of one reading: y x^T (B, 3, 3), y^2 and x^2 (B, 3). `lag` [s] is the
+    median delay, positive where y is late against x."""
+
+    cross: FloatArray
+    yy: FloatArray
+    xx: FloatArray
+    lag: float
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.cross.shape[0])
+
+    def left_out(self) -> Moments:
+        """The sums of all blocks but one, for each block."""
+        return Moments(
+            cross=self.cross.sum(axis=0) - self.cross,
+            yy=self.yy.sum(axis=0) - self.yy,
+            xx=self.xx.sum(axis=0) - self.xx,
+            lag=self.lag,
+        )
+
+    def total(self) -> Moments:
+        """The sums over all blocks, as one block."""
+        return Moments(
+            cross=self.cross.sum(axis=0)[None], yy=self.yy.sum(axis=0)[None], xx=self.xx.sum(axis=0)[None], lag=self.lag
+        )
+
+    def correlation(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
+        """Correlation (B,) of these rows of y with those of the turned x."""
+        at = list(rows)
+        size = self.yy[:, at].sum(axis=1) * (self.xx @ (turn[at] ** 2).T).sum(axis=1)
+        product = np.einsum("ij,bij->b", turn[at], self.cross[:, at])
+        return product / np.sqrt(np.maximum(size, 1e-300))
+
+    def share(self, turn: Matrix, rows: Sequence[int] = (0, 1, 2)) -> FloatArray:
+        """Share (B,) of these rows of y that the turned x explains up to a factor above zero."""
+        return np.maximum(self.correlation(turn, rows), 0.0) ** 2
+
+    def rotation(self) -> Matrix:
+        """The rotation that takes x closest to y (B = 1)."""
+        left, _, right = np.linalg.svd(self.cross[0])
+        turn = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)) or 1.0)])
+        return np.asarray(left @ turn @ right, dtype=np.float64)
+
+
+def joined(parts: Sequence[Moments]) -> Moments:
+    """The blocks of several flights together, each at its own lag."""
+    return Moments(
+        cross=np.concatenate([p.cross for p in parts]),
+        yy=np.concatenate([p.yy for p in parts]),
+        xx=np.concatenate([p.xx for p in parts]),
+        lag=float(np.median([p.lag for p in parts])),
+    )
+
+
+def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | None:
+    """The sums of a reading; None where fewer than `FEWEST_BLOCKS` blocks are left.
+
+    Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
+    most alike, in whatever axes.
+    """
+    n = reading.y.shape[0]
+    most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
+    lags = step * np.arange(-(most // step), most // step + 1)
+    rows = np.arange(most, n - most, max(1, span // 8))
+    rows = rows[np.isfinite(reading.y[rows]).all(axis=1)]
+    there = np.asarray(np.isfinite(reading.x).all(axis=1))
+    rows = rows[there[rows[:, None] - lags].all(axis=1)]
+    if rows.size < 20:
+        return None
+    length = max(min(BLOCK / dt, (rows[-1] - rows[0]) / 8.0), 1.0)
+    starts = np.flatnonzero(np.diff(rows // length, prepend=-1.0) > 0)
+    if starts.size < FEWEST_BLOCKS:
+        return None
+    y = reading.y[rows]
+    x = reading.x[rows - lags[:, None]]
+    cross = np.add.reduceat(y[:, :, None] * x[:, :, None, :], starts, axis=1)
+    yy, xx = np.add.reduceat(y * y, starts, axis=0), np.add.reduceat(x * x, starts, axis=1)
+    size = np.sqrt(yy.sum(axis=1) * xx.sum(axis=2))
+    alike = np.linalg.svd(cross, compute_uv=False).sum(axis=2) / np.maximum(size, 1e-300)
+    # Ties go to the smaller lag: streams that stand still are alike at any.
+    best = np.argmax(alike - 1e-9 * np.abs(lags)[:, None], axis=0)
+    block = np.arange(starts.size)
+    at = lags[best] * dt
+    weight = np.argsort(at)
+    middle = np.searchsorted(np.cumsum(yy.sum(axis=1)[weight]), 0.5 * yy.sum())
+    return Moments(cross=cross[best, block], yy=yy, xx=xx[best, block], lag=float(at[weight[min(middle, at.size - 1)]]))
+
+
+def axis_readings() -> Iterator[tuple[str, Matrix, tuple[int, ...]]]:
+    """(how it is written with {0}, {1}, {2} for the axes, matrix, rows that it touches) of all
+    exchanges and sign changes of three axes but none."""
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[range(3), order] = signs
+            touched = tuple(i for i in range(3) if turn[i, i] != 1.0)
+            parts = [f"{{{i}}} = {'-' if signs[i] < 0 else ''}{{{order[i]}}}" for i in touched]
+            if touched:
+                yield ", ".join(parts), turn, touched
+
+
+@dataclass(frozen=True, kw_only=True)
+class Better:
+    """A reading that explains the motion far better than the one given: `share` and `given_share`
+    of it that they explain; `angle` [deg] and its standard error where it is a rotation by an angle
+    (0 otherwise)."""
+
+    text: str
+    fix: str
+    share: float
+    given_share: float
+    angle: float = 0.0
+    angle_error: float = 0.0
+
+    @property
+    def blocks(self) -> bool:
+        """Whether it is beyond what a craft can have."""
+        return self.angle == 0.0 or self.angle - 2.0 * self.angle_error > ANGLES[1]
+
+
+def jackknife(values: FloatArray) -> float:
+    """Standard error of an estimate from its values (B, ...) with one block left out each."""
+    n = values.shape[0]
+    return float(np.sqrt((n - 1.0) / n * ((values - values.mean(axis=0)) ** 2).sum()))
+
+
+EYE: Matrix = np.eye(3)
+
+
+def far_better(
+    better: Moments, given: Moments, turn: Matrix = EYE, rows: Sequence[int] = (0, 1, 2)
+) -> tuple[float, float] | None:
+    """(share that `better` explains when turned, share that `given` explains), where the first is
+    clearly and far better; None where it is not.
+
+    What the one leaves over what the other leaves must be below `LEFT`, and that by `CLEAR` standard
+    errors of its logarithm; or, where what is left is mostly noise, the correlations must differ by
+    `APART` standard errors.
+    """
+    if better.blocks != given.blocks:
+        return None
+
+    def left(one: Moments, other: Moments) -> FloatArray:
+        return np.log((1.0 - one.share(turn, rows) + LEAST) / (1.0 - other.share(EYE, rows) + LEAST))
+
+    def ahead(one: Moments, other: Moments) -> FloatArray:
+        return one.correlation(turn, rows) - other.correlation(EYE, rows)
+
+    more, less = better.total(), given.total()
+    share = float(more.share(turn, rows)[0]), float(less.share(EYE, rows)[0])
+    ratio = float(left(more, less)[0])
+    if share[0] < SEEN or ratio > np.log(LEFT):
+        return None
+    parts = better.left_out(), given.left_out()
+    clear = ratio + CLEAR * jackknife(left(*parts)) < np.log(LEFT)
+    return share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
+
+
+def better_reading(
+    readings: Sequence[tuple[str, str, Moments]], names: tuple[str, str, str], fix: str
+) -> Better | None:
+    """The reading that explains the motion far better than the first of (text, fix, sums).
+
+    `names` are those of x's axes, `fix` what to do where these are exchanged or turned. Of readings
+    that explain about the same the simplest is taken: another frame, then the fewest axes.
+    """
+    given = readings[0][2]
+    share = float(given.total().share(EYE)[0])
+    every: tuple[int, ...] = (0, 1, 2)
+    tried: list[tuple[str, str, Moments, Matrix, tuple[int, ...], int]] = []
+    tried += [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
+    tried += [(t.format(*names), fix, given, m, rows, len(rows)) for t, m, rows in axis_readings()]
+    good = []
+    for text, how, sums, turn, rows, rank in tried:
+        if far_better(sums, given, turn, rows) is not None:
+            whole = float(sums.total().share(turn)[0])
+            good.append((rank, Better(text=text, fix=how, share=whole, given_share=share)))
+    turned = _turned(given, names, fix)
+    if not good:
+        return turned
+    most = max(b.share for _, b in good)
+    alike = [(rank, -b.share, b) for rank, b in good if 1.0 - b.share < (1.0 - most) / LEFT + 0.01]
+    best = min(alike, key=lambda c: c[:2])[2]
+    return turned if turned is not None and 1.0 - turned.share < LEFT * (1.0 - most) else best
+
+
+def _turned(sums: Moments, names: tuple[str, str, str], fix: str) -> Better | None:
+    """A rotation by an angle that is clear of what mounts and noise make; None where there is none."""
+    turn = sums.total().rotation()
+    more, less = (float(sums.total().share(m)[0]) for m in (turn, EYE))
+    if more < SEEN:
+        return None
+    vector = _vector(turn)
+    parts = sums.left_out()
+    others = np.array(
+        [
+            _vector(Moments(cross=parts.cross[i][None], yy=parts.yy[i][None], xx=parts.xx[i][None], lag=0.0).rotation())
+            for i in range(sums.blocks)
+        ]
+    )
+    angle, error = float(np.degrees(np.linalg.norm(vector))), float(np.degrees(jackknife(others)))
+    if angle - 2.0 * error < ANGLES[0] or angle < CLEAR * error:
+        return None
+    axis = vector / np.linalg.norm(vector)
+    which = int(np.argmax(np.abs(axis)))
+    about = f"{'-' if axis[which] < 0 else ''}{'xyz'[which]}"
+    if abs(axis[which]) < 0.95:
+        about = "(" + ", ".join(f"{v:.2f}" for v in axis) + ")"
+    text = f"{', '.join(names)} are turned by {angle:.0f} deg about {about}"
+    return Better(text=text, fix=fix, share=more, given_share=less, angle=angle, angle_error=error)
+
+
+def _vector(turn: Matrix) -> FloatArray:
+    """Rotation vector (3,) [rad] of a rotation matrix."""
+    half = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2.0
+    sine, cosine = float(np.linalg.norm(half)), (float(np.trace(turn)) - 1.0) / 2.0
+    angle = float(np.arctan2(sine, cosine))
+    if sine < 1e-6:
+        # No turn, or half a turn about the axis that stays.
+        values, vectors = np.linalg.eigh((turn + turn.T) / 2.0)
+        return np.zeros(3) if cosine > 0 else np.pi * vectors[:, int(np.argmax(values))]
+    return half / sine * angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Factor:
+    """By which factor y is larger than x: `value`, and the range [`low`, `high`] that noise in both
+    allows, from the regression of y on x to that of x on y, three standard errors wider."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the factor is beyond `RATIO`, either way."""
+        return self.low > RATIO or self.high < 1.0 / RATIO
+
+    def to_the(self, power: float) -> Factor:
+        """The factor to a power."""
+        low, high = sorted((self.low**power, self.high**power))
+        return Factor(value=self.value**power, low=low, high=high)
+
+
+def factor(sums: Moments, axes: Sequence[int] = (0, 1, 2)) -> Factor | None:
+    """Factor of the given reading over these axes; None where they are not alike enough to tell."""
+    at = list(axes)
+
+    def sizes(m: Moments) -> tuple[FloatArray, FloatArray]:
+        cross = np.asarray([m.cross[:, i, i] for i in at]).sum(axis=0)
+        yy, xx = m.yy[:, at].sum(axis=1), m.xx[:, at].sum(axis=1)
+        return np.log(np.maximum(cross, 1e-300) / np.maximum(xx, 1e-300)), np.log(
+            np.maximum(yy, 1e-300) / np.maximum(cross, 1e-300)
+        )
+
+    first, second = (float(v[0]) for v in sizes(sums.total()))
+    if second - first > -np.log(SEEN):
+        return None
+    errors = [jackknife(v) for v in sizes(sums.left_out())]
+    return Factor(
+        value=float(np.exp(0.5 * (first + second))),
+        low=float(np.exp(first - 3.0 * errors[0])),
+        high=float(np.exp(second + 3.0 * errors[1])),
+    )

@@ -1,0 +1,57 @@
+"""Whether a log can be fitted at all: armed, in the air, fast enough, with commands of rotors.
+
+Said first by `greybox inspect`, for a log of any format, from the channels alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from greybox.data.channel import command_names
+from greybox.data.raw import RawLog
+
+SLOWEST = 30.0
+"""Samples per second [Hz] of commands and of the fastest sensor below which rotors that answer in 20 to 50 ms are
+not seen."""
+DISARMED = 0.02
+"""Share of the range that no command ever passes: the motors do not turn."""
+GROUNDED = 0.1
+"""Mean command that is passed for less than a twentieth of the time: idling motors lift nothing."""
+STILL = 0.02
+"""Body rate [rad/s RMS] of a craft that stands."""
+MEASURED = ("rate", "specific_force", "attitude", "position", "velocity")
+
+
+def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
+    """Why no model can be fitted to this log; nothing where one can. `rates` [Hz] by channel group."""
+    names = command_names(raw.channels)
+    sensors = [rates[g] for g in MEASURED if g in rates]
+    if not names:
+        if "rotor_speed" not in rates:
+            yield "no commands of rotors and no rotor speeds"
+            return
+    else:
+        u = np.column_stack([raw.channels[n] for n in names])
+        u = u[np.isfinite(u).all(axis=1)]
+        if not u.size or float(u.max()) <= DISARMED:
+            yield "disarmed: no motor ever turns"
+        elif float(np.percentile(u.mean(axis=1), 95)) < GROUNDED:
+            yield f"on the ground: the commands hardly pass {GROUNDED:g}, idling motors lift nothing"
+        elif _stands(raw):
+            yield "on the ground: motors run, but the gyro shows no motion"
+        if rates.get("command", SLOWEST) < SLOWEST and rates.get("rotor_speed", 0.0) < SLOWEST:
+            yield f"too slow: commands come at {rates['command']:.3g} Hz, a fit needs {SLOWEST:g} Hz or more"
+    if not sensors:
+        yield "no gyro, accelerometer, attitude, position or velocity"
+    elif max(sensors) < SLOWEST:
+        yield f"too slow: the fastest sensor comes at {max(sensors):.3g} Hz, a fit needs {SLOWEST:g} Hz or more"
+
+
+def _stands(raw: RawLog) -> bool:
+    if not all(n in raw.channels for n in "pqr"):
+        return False
+    rate = np.column_stack([raw.channels[n] for n in "pqr"])
+    rate = rate[np.isfinite(rate).all(axis=1)]
+    return bool(rate.size and float(np.sqrt(((rate - np.median(rate, axis=0)) ** 2).sum(axis=1).mean())) < STILL)

@@ -1,0 +1,82 @@
+"""Position, velocity, attitude, rates and specific force are held against each other: a fault of one is named by it.
+
+The whole table of faults is `python -m tests.hardening.fault_table`; here stand one of each kind, on a real flight.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from greybox.data.checks import check
+from greybox.data.checks.finding import CheckReport
+from tests.data.faults import real, vehicle
+from tests.hardening.channel_faults import CHANNEL_FAULTS
+
+SET, FLIGHT = "nanobench", "B2_circle_medium_rep1"
+
+
+@functools.cache
+def faulty(name: str) -> CheckReport:
+    return check([CHANNEL_FAULTS[name].make(real(SET, FLIGHT))], vehicle(SET))
+
+
+def messages(name: str, severity: str, of: str) -> list[str]:
+    return [f.message for f in faulty(name).of(of) if f.severity == severity]
+
+
+@pytest.mark.parametrize(
+    ("name", "of", "words"),
+    [
+        ("velocity in body axes", "motion", "only when the velocity is in body axes"),
+        ("x and y of position and velocity swapped", "acceleration", "the world's x = y, y = the world's x"),
+        ("x and y of the position swapped", "motion", "vx = vy, vy = vx (explains"),
+        ("motion capture yawed by 90 deg", "acceleration", "the world's x = -y, y = the world's x"),
+        ("motion capture yawed by 30 deg", "acceleration", "turned by 30 deg about z"),
+        ("accelerometer in world axes", "acceleration", "the specific force is in world axes"),
+        ("attitude tilted by 10 deg in the world", "gravity", "10 deg from the world's up"),
+        ("r negated", "attitude", "r = -r"),
+        ("clock 10 % slow", "clock", "the time runs 1.1 times as fast as the motion"),
+        ("2 s cut out, clock closed up", "jumps", "rows are missing there, but the clock goes on"),
+        ("1 s comes twice", "jumps", "100 rows from t = "),
+    ],
+)
+def test_a_fault_that_nothing_else_explains_blocks(name: str, of: str, words: str) -> None:
+    assert any(words in m for m in messages(name, "blocking", of))
+
+
+@pytest.mark.parametrize(
+    ("name", "of", "words"),
+    [
+        ("gyro times 1.2", "attitude", "the attitude turns 0.8"),
+        ("accelerometer times 1.1", "acceleration", "the velocity changes 0.8"),
+        ("position times 1.08", "motion", "the position moves 1.08 times"),
+        ("velocity 100 ms late", "motion", "position is 100 ms early against velocity"),
+        ("position jumps by 0.5 m", "jumps", "the position jumps at t = "),
+        ("one sample of the accelerometer", "ranges", "1 sample(s) taken as missing"),
+        ("battery of 0 V for five samples", "ranges", "5 value(s) outside"),
+    ],
+)
+def test_a_factor_a_delay_or_a_lone_sample_is_said(name: str, of: str, words: str) -> None:
+    assert any(words in m for m in messages(name, "warning", of))
+    assert faulty(name).ok
+
+
+def test_a_factor_of_two_blocks() -> None:
+    assert any("0.50" in m for m in messages("gyro times 2", "blocking", "attitude"))
+
+
+def test_nothing_is_said_of_the_flight_as_it_came() -> None:
+    report = check([real(SET, FLIGHT)], vehicle(SET))
+    assert {f.check for f in report.findings if f.severity != "info"} == {"alignment"}
+
+
+def test_a_rounded_scalar_of_a_hover_is_no_frozen_sensor() -> None:
+    raw = real(SET, FLIGHT)
+    rounded = {n: np.round(raw.channels[n], 2) for n in ("qw", "qx", "qy", "qz")}
+    still = {"qw": np.where(np.arange(raw.n) % 400 < 100, 1.0, raw.channels["qw"])}
+    for change in (rounded, still):
+        made = type(raw)(**{**vars(raw), "channels": {**raw.channels, **change}})
+        assert not [f for f in check([made], vehicle(SET)).of("frozen") if f.severity == "blocking"]
