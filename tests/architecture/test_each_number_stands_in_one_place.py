@@ -42,7 +42,7 @@ ONCE = {
     "AVERAGE_FROM": (r"AVERAGE_FROM|FAST", 1.5, "greybox/data/resampling.py"),
     "GRAVITY": (r".*", 9.80665, "greybox/frames.py"),
     "milli-gravity": (r".*", 9.80665e-3, None),
-    "rounded gravity": (r".*", 9.81, None),
+    "rounded gravity": (r".*", 9.81, "greybox/simulators/targets/rotorpy.py"),
 }
 """What is meant -> (names that it goes by, its value, the one file that may assign it; None: it is
 derived)."""

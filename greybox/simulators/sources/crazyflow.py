@@ -12,6 +12,7 @@ import numpy as np
 from greybox.errors import VehicleError
 from greybox.files import read_limited
 from greybox.simulators.sources.found import Found, used
+from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.symbolic import FloatArray
 
 LARGEST = 2**20
@@ -55,7 +56,7 @@ def _craft(name: str, p: dict[str, Any]) -> Found:
     thrust, strength = _curve(p["rpm2thrust"], count)
     torque, _ = _curve(p["rpm2torque"], count)
     mass = float(p["mass"])
-    gravity = float(-np.array(p.get("gravity_vec", [0.0, 0.0, -9.81]))[2])
+    gravity = float(-np.array(p.get("gravity_vec", [0.0, 0.0, -GRAVITY]))[2])
     speed = _full_speed(thrust, float(p.get("thrust_max", 2.0 * mass * gravity / count)))
     powers = (speed * PER_MINUTE) ** np.arange(3.0)
     up, _, down, _ = (float(v) for v in p.get("rotor_dyn_coef", [0.0] * 4))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.errors import VehicleError
+from greybox.frames import GRAVITY
 from greybox.symbolic import FloatArray
 
 
@@ -30,7 +31,7 @@ class Found:
     thrust: tuple[float, float, float]
     torque: tuple[float, float, float]
     center_of_mass: FloatArray = field(default_factory=lambda: np.zeros(3))
-    gravity: float = 9.80665
+    gravity: float = GRAVITY
     speed_max: float | None = None
     rotor_radius: float | None = None
     effects: Mapping[str, float] = field(default_factory=dict)

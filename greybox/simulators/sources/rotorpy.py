@@ -12,6 +12,7 @@ import numpy as np
 from greybox.errors import VehicleError
 from greybox.files import read_limited
 from greybox.simulators.sources.found import Found, used
+from greybox.simulators.targets.rotorpy import GRAVITY
 
 LARGEST = 2**20
 _BINARY = {
@@ -51,7 +52,7 @@ def read(path: Path) -> Found:
         return Found(
             name=path.stem if path.stem != "vehicle" else path.resolve().parent.name,
             mass=float(p["mass"]),
-            gravity=9.81,
+            gravity=GRAVITY,
             inertia=inertia,
             hubs=hubs,
             spins=np.sign(spins),
