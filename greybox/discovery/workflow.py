@@ -29,7 +29,7 @@ from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.result import Discovery
 from greybox.discovery.search import Search
 from greybox.discovery.worth import worth
-from greybox.errors import DataError, GreyboxError, UnknownNameError
+from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
@@ -69,6 +69,13 @@ def discover(
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
+    if not isinstance(vehicle, Vehicle):
+        raise ModelError(
+            "discover names what the model of a vehicle misses",
+            expected="a vehicle (gb.read_vehicle)",
+            got=type(vehicle).__name__,
+            fix="for a model of your own: gb.learn says whether anything is left",
+        )
     tested = test if test is not None and test.flights else None
     settings = _settings(options)
     if faults is None:
