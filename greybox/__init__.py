@@ -33,6 +33,7 @@ _PUBLIC = {
     "load_model": "greybox.residual.files",
     "save_model": "greybox.residual.files",
     "learn": "greybox.residual.learn",
+    "from_gpytorch": "greybox.residual.from_gpytorch",
     "discover": "greybox.discovery.workflow",
     "plan": "greybox.planning.plan",
     "fit": "greybox.automatic",
@@ -64,6 +65,7 @@ __all__ = [
     "discover",
     "fit",
     "fit_report",
+    "from_gpytorch",
     "identify",
     "inspect_log",
     "learn",
@@ -98,6 +100,7 @@ if TYPE_CHECKING:
     from greybox.planning.plan import plan
     from greybox.report.fit_report import fit_report
     from greybox.residual.files import load_model, save_model
+    from greybox.residual.from_gpytorch import from_gpytorch
     from greybox.residual.learn import learn
     from greybox.symbolic import Layout, Signal
     from greybox.validation.validate import validate

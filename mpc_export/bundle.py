@@ -44,6 +44,7 @@ from greybox.model.noise import Augmented
 from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
+from greybox.residual.posterior import GPPosterior
 from greybox.shown import Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import gp_kernels
@@ -52,6 +53,7 @@ from mpc_export.functions import ModelFunctions, model_functions
 from mpc_export.golden import Golden, golden_vectors
 from mpc_export.manifest import SCHEMA, manifest_of
 from mpc_export.points import with_points
+from mpc_export.predictors import Fitted, PredictorModel, predictor_model
 from mpc_export.readme import licences, readme
 from mpc_export.tape import write_tape
 from mpc_export.targets import EXAMPLES, NEEDS, write_target
@@ -143,7 +145,7 @@ def _check_manifest(manifest: Mapping[str, Any], where: str) -> None:
 
 
 def write_bundle(
-    model: IdentifiedModel | LinearModel,
+    model: Fitted | PredictorModel,
     folder: str | os.PathLike[str],
     *,
     name: str | None = None,
@@ -155,7 +157,9 @@ def write_bundle(
     points: int | None = None,
     use_cache: bool = True,
 ) -> ExportBundle:
-    """Export a fitted model to `folder`; the arguments are those of `model_functions` and of the command line.
+    """Export anything fitted to `folder` (mpc_export/predictors.py says of what kinds).
+
+    The arguments are those of `model_functions` and of the command line.
 
     `name` is the prefix in C (default: the folder's name), `points` projects the learned part on that many support
     points first. Raises `ModelError` (a name that is no C identifier, see `model_functions`), `UnknownNameError` (a
@@ -170,7 +174,9 @@ def write_bundle(
     groups = tuple(sorted({*groups, *(group for target in chosen for group in NEEDS.get(target, ()))}))
     check_place(place)
     options = [name, dt, sorted(chosen), real, groups, runtime, points]
-    key = _cache_key(model, options) if use_cache else None
+    if not isinstance(model, (IdentifiedModel, LinearModel)):
+        model, dt = predictor_model(model, dt=dt, name=name), None
+    key = None if not use_cache or isinstance(model, PredictorModel) else _cache_key(model, options)
     if key is not None and (found := _from_cache(key, place)) is not None:
         again = model if points is None else with_points(model, points)[0]
         return replace(found, source=lambda: model_functions(again, dt=dt, with_=groups, runtime_parameters=runtime))
@@ -230,14 +236,15 @@ def _write_parts(
 
 def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
     """Kernels of our own for the functions of the learned part."""
-    if functions.posterior is None:
+    if not isinstance(functions.posterior, GPPosterior):
         return ()
     names = functions.parameters.names
     at = next((i for i, n in enumerate(names) if n.startswith("gp.weights")), None)
     learned = {
         n: tuple(f.name_out()) for n, f in functions.functions.items() if n.startswith("gp_") and "features" not in n
     }
-    return gp_kernels(functions.posterior, learned, weights_at=at)
+    silent = not isinstance(functions.model, PredictorModel)
+    return gp_kernels(functions.posterior, learned, weights_at=at, silent=silent)
 
 
 # ------------------------------------------------------------------------------------------------ places

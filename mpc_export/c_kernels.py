@@ -134,15 +134,16 @@ class GPKernel:
 
 
 def gp_kernels(
-    posterior: GPPosterior, names: Mapping[str, Iterable[str]], *, weights_at: int | None = None
+    posterior: GPPosterior, names: Mapping[str, Iterable[str]], *, weights_at: int | None = None, silent: bool = True
 ) -> tuple[GPKernel, ...]:
     """Kernels for the functions of (z, p) of a hybrid model: name -> quantities in the order of its results.
 
-    Outputs that are off have no variance there. `weights_at` is the place in p where weights that are set at run time start.
+    With `silent` outputs that are off have no variance there. `weights_at` is the place in p where
+    weights that are set at run time start.
     """
     weights = None if weights_at is None else (1, weights_at)
     return tuple(
-        GPKernel(name=name, posterior=posterior, which=tuple(which), weights=weights, silent=True)
+        GPKernel(name=name, posterior=posterior, which=tuple(which), weights=weights, silent=silent)
         for name, which in names.items()
     )
 

@@ -14,12 +14,14 @@
 | out_of_domain | x u p -> number, box, distance; 0 inside the training domain |
 | gp_features | x u p -> z, z_x (n_z, n_d), z_u, z_p; gp_features_raw the same with z_x in raw coordinates |
 | gp_mean, gp_mean_jac, gp_variance, gp_all, gp_distance | z p -> the learned push, its variance, their Jacobians in z |
+| network_mean, network_mean_jac, network_features, ... | the same of an LSTM, whose variance is that of the innovation |
 | B_d, B_d_raw | x u p -> derivative of x_next in the learned push, (n_d or n_x, n_g) |
 | covariance_step, covariance_feedback | x u p S [K] -> S_next = A S A' + B_d Var B_d' + Q; A + B K for A with u = K d |
 | consider_step | x u p K S c b -> S_next, c_next, b_next, total: learned and parameter errors constant over the horizon |
 | P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
+| output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
@@ -52,7 +54,9 @@ from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 from mpc_export.dense import cholesky, cholesky_solve
-from mpc_export.noise import Noise, identified_noise, linear_noise, parameter_covariance
+from mpc_export.innovation_form import SampledForm
+from mpc_export.noise import Noise, identified_noise, innovation_noise, parameter_covariance
+from mpc_export.predictors import Fitted, Learned, PredictorModel, predictor_model
 from mpc_export.sampled import Sampled, at_sample_time, is_discrete
 from mpc_export.target import target_function, tracked
 
@@ -96,8 +100,8 @@ class ModelFunctions:
     delay: Mapping[str, int]
     targets: Layout
     discrete: bool
-    posterior: GPPosterior | None
-    model: IdentifiedModel | LinearModel
+    posterior: Learned | None
+    model: IdentifiedModel | LinearModel | PredictorModel
     sampled: Sampled
 
     def __getitem__(self, name: str) -> Any:
@@ -117,13 +121,15 @@ class ModelFunctions:
 
 
 def model_functions(
-    model: IdentifiedModel | LinearModel,
+    model: Fitted | PredictorModel,
     *,
     dt: float | None = None,
     with_: Iterable[str] = (),
     runtime_parameters: Iterable[str] = (),
 ) -> ModelFunctions:
-    """The functions of a fitted model at sample time `dt` [s] (None: the one that it was identified at).
+    """The functions of anything fitted (mpc_export/predictors.py says of what kinds).
+
+    `dt` [s] is the sample time (None: the one that it was identified at).
 
     `with_` adds groups of `GROUPS`. `runtime_parameters` are model parameters that stay in p, by name, and "gp.weights".
     Raises `UnknownNameError`, and `ModelError` for a discrete model at another sample time, a learned part inside
@@ -139,20 +145,17 @@ class _Builder:
     """Builds the functions of one model; every part is built once."""
 
     def __init__(
-        self, model: IdentifiedModel | LinearModel, dt: float | None, groups: set[str], runtime: tuple[str, ...]
+        self, model: Any, dt: float | None, groups: set[str], runtime: tuple[str, ...]
     ) -> None:
-        if not isinstance(model, (IdentifiedModel, LinearModel)):
-            raise ModelError(
-                f"cannot export a {type(model).__name__}", expected="an IdentifiedModel or a LinearModel",
-                fix="fit it, or load a model file",
-            )  # fmt: skip
+        if not isinstance(model, (IdentifiedModel, LinearModel, PredictorModel)):
+            model = predictor_model(model, dt=dt)
         self.model, self.groups = model, groups
-        dynamics: Dynamics = model.dynamics if isinstance(model, IdentifiedModel) else model
+        dynamics: Dynamics = _dynamics(model)
         self.own_dt = float(model.sample_time if isinstance(model, IdentifiedModel) else model.dt)
         self.dt = self.own_dt if dt is None else float(dt)
         if not (self.dt > 0 and math.isfinite(self.dt)):
             raise ModelError("the sample time must be positive", got=f"{self.dt:g} s")
-        self.discrete = is_discrete(dynamics)
+        self.discrete = isinstance(model, PredictorModel) or is_discrete(dynamics)
         same = math.isclose(self.dt, self.own_dt, rel_tol=1e-9)
         if self.discrete and not same:
             raise ModelError(
@@ -160,12 +163,15 @@ class _Builder:
             )
         if not same:
             dynamics = at_sample_time(dynamics, self.dt)
-        self.posterior: GPPosterior | None = None
-        if isinstance(dynamics, HybridModel):
+        self.posterior: Learned | None = None
+        if isinstance(model, PredictorModel):
+            self.posterior = model.learned
+        elif isinstance(dynamics, HybridModel):
             self.posterior, dynamics = dynamics.posterior, dynamics.inner
         if learned_push_of(dynamics) is not None:
             raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
-        if self.posterior is not None and (euler := [n for n in self.posterior.inputs.names if n in EULER]):
+        euler = () if self.posterior is None else tuple(n for n in self.posterior.inputs.names if n in EULER)
+        if euler and not isinstance(model, PredictorModel):
             raise ModelError(
                 f"the learned part looks at Euler angles ({', '.join(euler)})",
                 fix="learn it on gravity.x, gravity.y, gravity.z: they have no singularity",
@@ -173,13 +179,22 @@ class _Builder:
         self.weights = WEIGHTS in runtime
         if self.weights and self.posterior is None:
             raise ModelError(f"no learned part, so no {WEIGHTS} to change at run time")
+        if self.weights and not isinstance(self.posterior, GPPosterior):
+            raise ModelError(f"{WEIGHTS} cannot change at run time here", expected="a GP that greybox trained")
         self.theta_names, self.theta_covariance = parameter_covariance(model)
+        # What an output hybrid did not learn keeps the prior's variance, as in its own predictions.
+        self.silent = not isinstance(model, PredictorModel)
+        self.prefix = "network" if self.posterior is not None and self.posterior.method == "lstm" else "gp"
         values = (
-            dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in model.parameters}
+            dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in dynamics.parameters}
         )
-        self.sampled = Sampled(
-            dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
-            sensitive=self.theta_names,
+        self.sampled = (
+            SampledForm(dynamics=model.form, dt=self.dt, values={}, runtime=runtime)
+            if isinstance(model, PredictorModel)
+            else Sampled(
+                dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
+                sensitive=self.theta_names,
+            )
         )  # fmt: skip
         self.x, self.u, self.p, self.w = self.sampled.symbols()
         self.chart_in, _ = self.sampled.chart(self.x, self.x)
@@ -209,8 +224,9 @@ class _Builder:
     def _own_p(self, p: Expr) -> Expr:
         return p[: self.p.numel()]
 
-    def _gp(self, name: str, which: tuple[str, ...]) -> Any:
-        """A function of (z, p) with some of the posterior's quantities; outputs that are off have no variance."""
+    def _gp(self, what: str, which: tuple[str, ...]) -> Any:
+        """A function of (z, p) with some of the learned part's quantities; a push that is off has no variance."""
+        name = f"{self.prefix}_{what}"
         if name in self.functions:
             return self.functions[name]
         posterior = self.posterior
@@ -218,7 +234,7 @@ class _Builder:
         z, p = ca.MX.sym("z", len(posterior.inputs)), ca.MX.sym("p", len(self.parameters))
         weights = ca.reshape(p[self.p.numel() :], posterior.points, len(posterior.outputs)) if self.weights else None
         found = posterior.expressions(z, which, weights=weights)
-        if not all(posterior.active):
+        if self.silent and not all(posterior.active):
             on = np.array(posterior.active, dtype=float)
             if "variance" in found:
                 found["variance"] = on * found["variance"]
@@ -229,14 +245,14 @@ class _Builder:
         return made
 
     def _mean(self) -> Any:
-        return self._gp("gp_mean", ("mean",))
+        return self._gp("mean", ("mean",))
 
     def _mean_jacobian(self) -> Any:
-        return self._gp("gp_mean_jac", ("mean", "mean_jacobian"))
+        return self._gp("mean_jac", ("mean", "mean_jacobian"))
 
     def _features(self, kind: str) -> Any:
         """(x, u, p) -> z, z_x, z_u, z_p; x in error ("error"), raw ("raw") or the model's own raw coordinates ("own")."""
-        name = {"error": "gp_features", "raw": "gp_features_raw", "own": "gp_features_own"}[kind]
+        name = self.prefix + {"error": "_features", "raw": "_features_raw", "own": "_features_own"}[kind]
         if name in self.functions:
             return self.functions[name]
         assert self.posterior is not None
@@ -391,9 +407,10 @@ class _Builder:
         self._features("raw")
         self._mean()
         self._mean_jacobian()
-        self._gp("gp_variance", ("variance",))
-        self._gp("gp_all", ("mean", "variance", "mean_jacobian", "variance_jacobian"))
-        self._gp("gp_distance", ("distance",))
+        if self.prefix == "gp":  # the variance of a network is that of the innovation
+            self._gp("variance", ("variance",))
+            self._gp("all", ("mean", "variance", "mean_jacobian", "variance_jacobian"))
+            self._gp("distance", ("distance",))
         for name, expression in self.through.items():
             self._value(name, name, expression)
 
@@ -405,7 +422,7 @@ class _Builder:
         overshoot = box(x, u, p) if box is not None else ca.MX(0.0)
         far = ca.MX(0.0)
         number = overshoot
-        if distance is not None:
+        if distance is not None and self.prefix == "gp":
             far = self.functions["gp_distance"](self._features("raw")(x, u, p)[0], p)
             usual = distance.domain.distance[2]
             number = ca.fmax(overshoot, far / (usual if usual > 0 else 1.0) - 1.0)
@@ -419,7 +436,7 @@ class _Builder:
 
     def _box(self) -> Any:
         """Largest relative overshoot of commands and outputs over their training range (x, y and quaternions left out)."""
-        domain = self.model.domain if isinstance(self.model, IdentifiedModel) else {}
+        domain = _domain_of(self.model)
         s = self.sampled
         u, p = self.u, self.p
         signals = {n: u[i] for i, n in enumerate(s.inputs.names)}
@@ -447,7 +464,7 @@ class _Builder:
         _, a, b, _ = self.functions["f_d_jac"](x, u, p)
         fresh = ca.MX(ca.DM(self.noise.process))
         spread = None
-        if self.posterior is not None:
+        if self.posterior is not None and self.prefix == "gp":
             variance = self.functions["gp_variance"](self._features("raw")(x, u, p)[0], p)
             spread = self.functions["B_d"](x, u, p)
             learned = (spread * ca.repmat(ca.fmax(variance, 0.0).T, nd, 1)) @ spread.T
@@ -480,6 +497,38 @@ class _Builder:
         results, names = [*results, total], [*names, "total"]
         self.functions["consider_step"] = ca.Function(
             "consider_step", arguments, [ca.densify(v) for v in results], labels, names
+        )
+        if isinstance(self.model, (PredictorModel, LinearModel)):
+            self._output_covariance()
+
+    def _output_covariance(self) -> None:
+        """Of the next measurement, S and c being those of the state: C S C' + D_g Var D_g' + cov(e),
+        and with the learned error as the same over the horizon (C c + D_g sigma)(...)' in place of
+        the middle term. With S = 0 (and c = 0) it is the one-step variance."""
+        nd = len(self.sampled.error_states)
+        x, u, p = self._arguments()
+        sigma = ca.MX.sym("S", nd, nd)
+        c = self.functions["h_jac"](x, u, p)[1]
+        plain = c @ sigma @ c.T + ca.DM(self.noise.innovation)
+        arguments, labels = [x, u, p, sigma], ["x", "u", "p", "S"]
+        if self.posterior is None or self.prefix != "gp":
+            self.functions["output_covariance"] = ca.Function(
+                "output_covariance", arguments, [ca.densify(plain)], labels, ["Y"]
+            )
+            return
+        variance = ca.fmax(self.functions["gp_variance"](self._features("raw")(x, u, p)[0], p), 0.0)
+        slope = ca.densify(self.noise_output @ self.spread)
+        through = ca.Function("noise_output", [self.x, self.u, self.p, self.w], [slope])
+        d = through(x, u, self._own_p(p), ca.DM.zeros(self.w.numel()))
+        wide = ca.repmat(variance.T, d.shape[0], 1)
+        fresh = plain + (d * wide) @ d.T
+        self.functions["output_covariance"] = ca.Function(
+            "output_covariance", arguments, [ca.densify(fresh)], labels, ["Y"]
+        )
+        bias = ca.MX.sym("c", nd, d.shape[1])
+        now = c @ bias + d * ca.sqrt(wide)
+        self.functions["output_consider"] = ca.Function(
+            "output_consider", [*arguments, bias], [ca.densify(plain + now @ now.T)], [*labels, "c"], ["Y"]
         )
 
     def _by_theta(self) -> Any:
@@ -519,8 +568,17 @@ class _Builder:
         my = ca.MX.sym("y", ny)
         seen = self.functions["h"](mx, mu, mp)
         found = innovation(my, seen, mx)
-        correction = ca.mtimes(ca.DM(noise.gain), fill(found, mt))
-        after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correction)
+        if isinstance(self.model, PredictorModel):
+            # What was foretold of the innovation and what was not enter together, as in the predictor itself.
+            push = fill(found, mt)
+            if self.posterior is not None:
+                push = push + self._push(mx, mu, mp, "raw")
+            step = s.step(self.x, self.u, self.p, self.w)
+            moved = ca.Function("innovate", [self.x, self.u, self.p, self.w], [ca.cse(ca.densify(step))])
+            after = moved(mx, mu, self._own_p(mp), push)
+        else:
+            correction = ca.mtimes(ca.DM(noise.gain), fill(found, mt))
+            after = self.functions["boxplus"](self.functions["f_d"](mx, mu, mp), correction)
         self.functions["filter_step"] = ca.Function(
             "filter_step", [mx, mu, mp, my, mt], [after, found, seen], ["x", "u", "p", "y", "there"],
             ["x_next", "e", "y_hat"],
@@ -548,22 +606,26 @@ class _Builder:
     def _reference(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         if isinstance(self.model, LinearModel):
             state, inputs = np.zeros(self.model.order), self.model.input_offset
+        elif isinstance(self.model, PredictorModel):
+            state, inputs = self.model.reference
         else:
             state, inputs = self.model.reference_state, self.model.reference_inputs
         x, u, p = self.sampled.extended(state, inputs)
-        if self.weights and self.posterior is not None:
+        if self.weights and isinstance(self.posterior, GPPosterior):
             p = np.concatenate([p, self.posterior.weights.ravel(order="F")])
         return x, u, p
 
     def _noise(self, x: FloatArray, u: FloatArray, p: FloatArray) -> Noise:
         extra = len(self.sampled.history)
-        if isinstance(self.model, LinearModel):
-            return linear_noise(self.model, extra)
+        if isinstance(self.model, (LinearModel, PredictorModel)):
+            own = self.model.noise
+            gain = self.model.form.gain if isinstance(self.model, PredictorModel) else self.model.matrices.k
+            return innovation_noise(gain, own, extra)
         inputs = [self.x, self.u, self.p, self.w]
         through = ca.Function("noise", inputs, [ca.densify(self.noise_input), ca.densify(self.noise_output)])
         w = ca.DM.zeros(self.w.numel())
         if self.posterior is not None:
-            w = self.spread @ self.functions["gp_mean"](self.functions["gp_features"](x, u, p)[0], p)
+            w = self.spread @ self._mean()(self._features("error")(x, u, p)[0], p)
         g, d = (v.full() for v in through(x, u, p[: self.p.numel()], w))
         a, c = self.functions["f_d_jac"](x, u, p)[1].full(), self.functions["h_jac"](x, u, p)[1].full()
         n = len(self.sampled.dynamics.error_states)
@@ -589,13 +651,16 @@ class _Builder:
             self.functions["target_step"] = target_function(s, self.functions, targets, len(self.parameters))
         if "hessian" in self.groups:
             self._hessian()
-        self.functions.pop("gp_features_own", None)
+        self.functions.pop(f"{self.prefix}_features_own", None)
+        if not len(s.states):  # a function alone has nothing to say of a state
+            for name in [n for n, f in self.functions.items() if f.numel_out(0) == 0]:
+                del self.functions[name]
         longest: dict[str, int] = {}
         for i, lag in s.history:
             longest[s.dynamics.inputs.names[i]] = lag
         none = Layout([])
         return ModelFunctions(
-            name=s.dynamics.name if self.posterior is None else f"{s.dynamics.name} + GP", dt=self.dt,
+            name=_name(self), dt=self.dt,
             identified_dt=self.own_dt, functions=self.functions, states=s.states, error_states=s.error_states,
             inputs=s.inputs, parameters=self.parameters, outputs=s.dynamics.outputs, innovations=s.dynamics.innovations,
             features=none if self.posterior is None else self.posterior.inputs,
@@ -606,9 +671,27 @@ class _Builder:
         )  # fmt: skip
 
 
+def _dynamics(model: IdentifiedModel | LinearModel | PredictorModel) -> Dynamics:
+    if isinstance(model, IdentifiedModel):
+        return model.dynamics
+    return model if isinstance(model, LinearModel) else model.form
+
+
+def _domain_of(model: IdentifiedModel | LinearModel | PredictorModel) -> Mapping[str, tuple[float, float]]:
+    """Training ranges by name, where they are known."""
+    return {} if isinstance(model, LinearModel) else model.domain
+
+
+def _name(builder: _Builder) -> str:
+    if isinstance(builder.model, PredictorModel):
+        return builder.model.name
+    own = builder.sampled.dynamics.name
+    return own if builder.posterior is None else f"{own} + GP"
+
+
 def _bounds(builder: _Builder) -> tuple[FloatArray, FloatArray]:
     """(lower, upper) of the commands: 0 .. 1, rotor speeds 0 .. speed_max, else what was seen in training."""
-    domain = builder.model.domain if isinstance(builder.model, IdentifiedModel) else {}
+    domain = _domain_of(builder.model)
     physics = physics_of(builder.sampled.dynamics)
     rows = []
     for name in builder.sampled.inputs.names:
@@ -627,7 +710,7 @@ SCALES = {"position": 1.0, "velocity": 1.0, "attitude": 1.0, "rate": 1.0, "rotor
 def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Typical sizes of x, u and y: dimensionless = value / scale. Of outputs half the range seen in training."""
     s, model = builder.sampled, builder.model
-    domain = model.domain if isinstance(model, IdentifiedModel) else {}
+    domain = _domain_of(model)
 
     def half(name: str, default: float) -> float:
         low, high = domain.get(name, (0.0, 0.0))
@@ -646,7 +729,7 @@ def _scales(builder: _Builder) -> tuple[FloatArray, FloatArray, FloatArray]:
     for name in s.states.names:
         head = name.split(".")[0]
         if head == "history":
-            x.append(commands[name.split(".")[1]])
+            x.append(commands.get(name.split(".")[1], 1.0))
         elif name in pushes:
             x.append(float(pushes[name]) or 1.0)
         else:

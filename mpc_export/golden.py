@@ -73,12 +73,12 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
     """One value for every argument that a function may take; `spread` 1 is typical flight."""
     n = functions.sizes
     scale, command, _ = functions.scales
-    boxplus = functions.functions["boxplus"]
+    boxplus = functions.functions["boxplus"] if n["n_x"] else lambda x, d: x
     move = rng.standard_normal(n["n_d"])
     # Raw and error states differ in the attitude alone, whose typical error is a third of a radian.
     typical = {s.name.removeprefix("d_"): scale[i] for i, s in enumerate(functions.states)}
     size = np.array([0.3 if "attitude" in s else typical[s.removeprefix("d_")] for s in functions.error_states.names])
-    inside = np.array([s.startswith(("rotor", "history")) for s in functions.states.names])
+    inside = np.array([s.startswith(("rotor", "history")) for s in functions.states.names], dtype=bool)
     x = np.asarray(boxplus(functions.reference[0], 0.3 * spread * size * move)).ravel()
     level = np.clip(0.5 + 0.3 * spread * (rng.random(x.size) - 0.5), 0.02, 0.98) * scale
     x = np.where(inside & (spread > 0), level, x)

@@ -11,11 +11,13 @@ from typing import Any
 
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.linear import LinearModel
+from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Layout
 from mpc_export.c_code import CSource
 from mpc_export.c_model import CODES, scale_of, sizes_of
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import Golden
+from mpc_export.predictors import PredictorModel
 
 SCHEMA = "greybox.bundle/1"
 FRAMES = {
@@ -85,6 +87,8 @@ def _model(f: ModelFunctions) -> dict[str, Any]:
     model = f.model
     if isinstance(model, LinearModel):
         return {"name": model.name, "kind": "linear", "effects": [], "trained_on": []}
+    if isinstance(model, PredictorModel):
+        return {"name": model.name, "kind": model.kind, "effects": [], "trained_on": list(model.trained_on)}
     kind = "physics" if f.posterior is None else "hybrid"
     return {"name": model.name, "kind": kind, "effects": list(model.effects), "trained_on": list(model.trained_on)}
 
@@ -136,7 +140,7 @@ def _function(function: Any, golden: Golden) -> dict[str, Any]:
 
 
 def _domain(f: ModelFunctions) -> dict[str, Any]:
-    channels = f.model.domain if isinstance(f.model, IdentifiedModel) else {}
+    channels = {} if isinstance(f.model, LinearModel) else f.model.domain
     out: dict[str, Any] = {"channels": {k: [float(v[0]), float(v[1])] for k, v in channels.items()}, "learned": None}
     if f.posterior is not None:
         box = f.posterior.domain
@@ -144,7 +148,8 @@ def _domain(f: ModelFunctions) -> dict[str, Any]:
             "inputs": list(f.posterior.inputs.names), "lower": box.lower, "upper": box.upper,
             "distance_quantiles": dict(zip(("50", "95", "99", "100"), box.distance)),
             "samples": box.samples, "points": f.posterior.points, "method": f.posterior.method,
-            "noise": f.posterior.noise, "variance_factor": list(f.posterior.variance_factor),
+            "noise": f.posterior.noise,
+            "variance_factor": list(f.posterior.variance_factor) if isinstance(f.posterior, GPPosterior) else [],
         }  # fmt: skip
     return out
 
@@ -166,6 +171,10 @@ def _notes(f: ModelFunctions) -> list[str]:
     out = []
     if f.discrete:
         out.append("the model is discrete: there is no f, only f_d")
+    if isinstance(f.model, PredictorModel) and f.model.form.exogenous:
+        out.append(
+            f"{', '.join(f.model.form.exogenous)}: measured or known from elsewhere, in p; held over a prediction"
+        )
     if f.delay:
         out.append("f has no delay; f_d has it, as input-history states")
     if any(k.startswith("sensor_delay.") and v != 0 for k, v in f.sampled.values.items()):

@@ -16,7 +16,6 @@ import numpy as np
 from greybox.estimation.gain import stationary
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import layers
-from greybox.model.linear import LinearModel
 from greybox.model.noise import Augmented
 from greybox.symbolic import FloatArray
 
@@ -63,12 +62,11 @@ def identified_noise(
     )  # fmt: skip
 
 
-def linear_noise(model: LinearModel, extra: int) -> Noise:
-    """Of the innovation form: the filter is the model, P = 0 and S = Lambda."""
-    k, covariance = model.matrices.k, model.noise
+def innovation_noise(k: FloatArray, covariance: FloatArray, extra: int) -> Noise:
+    """Of an innovation form with gain K (n_d, n_e) and cov(e): the filter is the model, P = 0 and S = cov(e)."""
     return Noise(
         gain=_rows(k, extra), innovation=covariance, cross=_rows(k @ covariance, extra),
-        covariance=np.zeros((model.order + extra,) * 2), process=_square(k @ covariance @ k.T, extra),
+        covariance=np.zeros((len(k) + extra,) * 2), process=_square(k @ covariance @ k.T, extra),
         sensor=np.sqrt(np.diag(covariance)),
     )  # fmt: skip
 

@@ -21,11 +21,14 @@ from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.sparse import safe_cholesky, variational
 from greybox.symbolic import FloatArray
+from mpc_export.predictors import PredictorModel
 
 PROBES = 500
 
 
-def with_points(model: IdentifiedModel | LinearModel, points: int) -> tuple[IdentifiedModel, dict[str, Any] | None]:
+def with_points(
+    model: IdentifiedModel | LinearModel | PredictorModel, points: int
+) -> tuple[IdentifiedModel, dict[str, Any] | None]:
     """The model with at most `points` support points in its learned part, and what that costs (None: nothing changed).
 
     Raises `ModelError` for a model without a learned part or fewer than one point.

@@ -20,10 +20,17 @@ import numpy as np
 import scipy.stats
 
 from greybox.automatic.facts import WANDER, Facts
-from greybox.automatic.filters import described, is_felt, offered_filters, without_noise_of
+from greybox.automatic.filters import (
+    described,
+    filtering,
+    is_felt,
+    offered_filters,
+    without_noise_of,
+)
 from greybox.automatic.foretell import Score, foretell
+from greybox.automatic.pieces import SHORTEST, first_parts
 from greybox.automatic.sets import LATE_POSE, Step, names_of, nested_sets, per_flight_parameters
-from greybox.data import Dataset, Flight
+from greybox.data import Dataset
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.options import FitChoices, FitOptions
@@ -37,14 +44,6 @@ from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
 
-FIRST_PART = 0.65
-"""Share of a flight that sets are fitted to; the rest is foretold."""
-ENOUGH_SECONDS = 150.0
-"""Flight time from which more only costs time when sets are compared."""
-ENOUGH_EACH = 15.0
-"""Seconds of one flight that are enough: rather more flights than longer ones."""
-SHORTEST = 6.0
-"""Flights shorter than this [s] are too short to leave a part out."""
 FELT = 3.0
 """Standard errors from which a parameter counts as felt."""
 CLEAR = 0.01
@@ -124,14 +123,12 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decided:
-    """The recipe and how it came about. `candidate` is the recipe fitted to the `first_parts` of
-    the flights and `left_out` the rest of them (all None where every flight is too short)."""
+    """The recipe and how it came about. `candidate` is the recipe fitted to the first parts of the
+    flights (None where every flight is too short)."""
 
     recipe: Recipe
     decisions: tuple[Decision, ...]
     candidate: Candidate | None
-    first_parts: Dataset | None
-    left_out: Dataset | None
     given: Given = field(default_factory=Given)
 
 
@@ -164,7 +161,7 @@ class _Decider:
         self._kinematics()
         options = self._held(self._noise(self._disturbance(said)))
         self.considered = options.considered
-        parts = self._parts()
+        parts = first_parts(self.data)
         if self.given.effects is not None:
             steps: tuple[Step, ...] = (
                 Step(name="the effects asked for", effects=self.given.effects),
@@ -180,24 +177,23 @@ class _Decider:
                 "no piece can be left out to compare larger sets",
                 "--effects",
             )
-            return self._decided(steps[:1], options, None, None)
+            return self._decided(steps[:1], options, None)
         first = self._try(steps[:1], options, None, parts)
         if first is None:
-            return self._decided(steps[:1], options, None, None)
+            return self._decided(steps[:1], options, None)
         options, first = self._filters(options, first, parts)
         late = set(_names(first.steps)) & set(names_of(LATE_POSE))
         rest = [s for s in steps[1:] if not late & set(names_of(s))]
         chosen = self._smallest_good((*first.steps, *rest), options, first, parts)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
-        return self._decided(chosen.steps, self._started(options, chosen), chosen, parts)
+        return self._decided(chosen.steps, self._started(options, chosen), chosen)
 
     def _decided(
         self,
         steps: tuple[Step, ...],
         options: FitOptions,
         candidate: Candidate | None,
-        parts: tuple[Dataset, Dataset] | None,
     ) -> Decided:
         recipe = Recipe(
             effects=_effects(steps),
@@ -210,8 +206,6 @@ class _Decider:
             decisions=tuple(self.decisions),
             given=self.given,
             candidate=candidate,
-            first_parts=parts[0] if parts else None,
-            left_out=parts[1] if parts else None,
         )
 
     def _note(self, about: str, choice: str, reason: str, option: str) -> None:
@@ -336,16 +330,6 @@ class _Decider:
 
     # ------------------------------------------------------------ comparing on pieces left out
 
-    def _parts(self) -> tuple[Dataset, Dataset] | None:
-        """(first parts, the rest) of enough flights; None where all flights are too short."""
-        long = [f for f in self.data if f.duration >= SHORTEST]
-        if not long:
-            return None
-        count = min(len(long), int(ENOUGH_SECONDS / ENOUGH_EACH))
-        some = [long[i] for i in np.linspace(0, len(long) - 1, count).round().astype(int)]
-        cut = tuple(_first_seconds(f, ENOUGH_SECONDS / len(some)) for f in some)
-        return Dataset(flights=cut).split_by_time(FIRST_PART)
-
     def _model(self, effects: tuple[str | Effect, ...]) -> PhysicsModel:
         return build_model(
             self.vehicle,
@@ -468,17 +452,19 @@ class _Decider:
         as a filtered IMU hides it: the two are tried together."""
         if "noise_parts" in self.given.choices:
             return options, first
-        offered = offered_filters(first.likelihood)
-        reason = "none is longer than nothing within its error"
-        if not offered:
+        offered = () if self.kinematic_noise else offered_filters(first.likelihood)
+        reason = "none is longer than nothing within its error, and as short as that of an IMU"
+        if self.kinematic_noise:
+            reason = "the clocks of gyro and attitude wander by more than a filter is late"
+        elif not offered:
             reason = "the innovations of the IMU are white"
         steps = first.steps
         if offered and self._pose_may_be_late():
             clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
-            own = tuple(p.name for p in offered)
-            again = self._try(steps, options.but(noise_parts=own), first, parts)
+            own = filtering(options, offered, first.fit.model.physics)
+            again = self._try(steps, own, first, parts)
             if again is None:
                 reason = "no fit with one"
                 break
@@ -496,7 +482,7 @@ class _Decider:
                     "look like more lag of the motors",
                     "--noise-parts",
                 )
-                return options.but(noise_parts=own), again
+                return own, again
             reason = f"BIC falls by {gain:.0f}, the score ahead by {better:.3f} +- {error:.3f}"
             break
         self._note("filter of the IMU", "none", reason, "--noise-parts")
@@ -575,7 +561,11 @@ def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> Fit
     levels = noise_of(noise.model)
     for part in set(start.settings["noise_parts"]) - set(options.noise_parts):
         values, levels = without_noise_of(part, values), without_noise_of(part, levels)
-    return options.but(values={**values, **options.values}, noise=levels, initialisation="nominal")
+    held = {n: v for n, v in options.noise.items() if n in options.held_noise}
+    levels = {n: v for n, v in levels.items() if not n.startswith(tuple(f"{h}." for h in held))}
+    return options.but(
+        values={**values, **options.values}, noise={**levels, **held}, initialisation="nominal"
+    )
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
@@ -630,8 +620,3 @@ def _differ(values: np.ndarray, errors: np.ndarray) -> tuple[float, float]:
     return float(scipy.stats.chi2.sf(chi2, len(values) - 1)), float(
         values.std(ddof=1) / abs(middle)
     )
-
-
-def _first_seconds(flight: Flight, seconds: float) -> Flight:
-    begin = float(flight.segments[0].t[0])
-    return flight.between(begin, begin + seconds) or flight

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
+from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
 from greybox.model.noise import LowPass
 from greybox.statistics.whiteness import is_coloured
@@ -19,6 +20,11 @@ Value = TypeVar("Value")
 
 FILTERED = ("gyro", "accelerometer")
 """Sensors that come with a filter before the log: those of the IMU."""
+QUIET = 1e-3
+"""Noise in front of a filter, as a share of what its sensor has."""
+LONGEST = 0.02
+"""Time constant [s] from which it is no filter of an IMU (8 Hz) but something else that the model
+has not."""
 FELT = 3.0
 """Standard errors from which a time constant counts as felt."""
 
@@ -36,10 +42,10 @@ def offered_filters(fitted: Fit) -> tuple[LowPass, ...]:
 
 
 def is_felt(part: LowPass, fitted: Fit) -> bool:
-    """Whether its time constant is clear of its lower bound."""
+    """Whether its time constant is clear of its lower bound, and that of a filter of an IMU."""
     found = fitted.parameters[f"{part.name}.T"]
     lower = next(d.lower for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
-    return not found.at_bound and found.value - lower > FELT * found.std
+    return not found.at_bound and lower + FELT * found.std < found.value < LONGEST
 
 
 def described(part: LowPass, fitted: Fit) -> str:
@@ -49,16 +55,35 @@ def described(part: LowPass, fitted: Fit) -> str:
     return f"{part.name} ({cutoff:.0f} Hz, T = {1e3 * found.value:.1f} ms)"
 
 
+def filtering(options: FitOptions, parts: Sequence[LowPass], physics: Dynamics) -> FitOptions:
+    """The options with these filters. Noise enters behind a filter: its level in front is held at
+    next to nothing, so that how late a reading is decides, not the colour of its noise."""
+    typical = {p.name: float(p.typical(physics, p.place(physics), 1.0).mean()) for p in parts}
+    quiet = {f"noise.process.{n}": float(f"{QUIET * v:.3g}") for n, v in typical.items()}
+    return options.but(
+        noise_parts=(*options.noise_parts, *typical),
+        noise={**options.noise, **quiet},
+        held_noise=(*options.held_noise, *quiet),
+    )
+
+
 def without_parts(options: FitOptions, names: Sequence[str]) -> FitOptions:
     """The options without some noise parts and what was said of them."""
     values, levels = dict(options.values), dict(options.noise)
     for name in names:
         values, levels = without_noise_of(name, values), without_noise_of(name, levels)
-    kept = tuple(n for n in options.noise_parts if n not in names)
-    return options.but(noise_parts=kept, values=values, noise=levels)
+    gone = {f"noise.process.{n}" for n in names}
+    return options.but(
+        noise_parts=tuple(n for n in options.noise_parts if n not in names),
+        values=values,
+        noise=levels,
+        held_noise=tuple(n for n in options.held_noise if n not in gone),
+    )
 
 
 def without_noise_of(part: str, table: Mapping[str, Value]) -> dict[str, Value]:
     """A table of parameter values or noise levels without those of a noise part."""
     own = (f"{part}.", f"noise.process.{part}.")
-    return {n: v for n, v in table.items() if not n.startswith(own)}
+    return {
+        n: v for n, v in table.items() if n != f"noise.process.{part}" and not n.startswith(own)
+    }

@@ -15,6 +15,7 @@ import numpy as np
 from greybox.automatic.decide import QUICK, Decided, Given, Say
 from greybox.automatic.filters import without_parts
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
+from greybox.automatic.pieces import first_parts
 from greybox.automatic.sets import BASE
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
@@ -205,21 +206,20 @@ def fit_decided(
         return found.with_history(recipe, tuple(decisions))
 
 
-def judged_on_pieces(
-    vehicle: Vehicle, decided: Decided, found: Fit
+def on_pieces(
+    vehicle: Vehicle, data: Dataset, recipe: Recipe
 ) -> tuple[IdentifiedModel, Dataset] | None:
-    """(the recipe of `found` fitted to the first parts of the flights, the pieces left out), for
-    its verdict; None where no piece was left out or the fit did not arrive."""
-    recipe = found.provenance.recipe
-    if decided.candidate is None or decided.first_parts is None or decided.left_out is None:
+    """(the recipe fitted to the first parts of the flights, the pieces left out), for a verdict
+    that no test flight has a part in; None where the flights are too short to leave any out.
+
+    Raises `FitError` where the first parts cannot be fitted.
+    """
+    parts = first_parts(data)
+    if parts is None:
         return None
-    if recipe is None or not found.converged:
-        return None
-    if replace(recipe, rate=None) == replace(decided.recipe, rate=None):
-        return decided.candidate.fit.model, decided.left_out
     options = recipe.options.but(solver=QUICK, considered=())
-    again = fit_recipe(vehicle, decided.first_parts, replace(recipe, options=options))
-    return again.model, decided.left_out
+    found = fit_recipe(vehicle, parts[0], replace(recipe, options=options))
+    return found.model, parts[1]
 
 
 def continued(options: FitOptions, found: Fit) -> FitOptions:

@@ -7,7 +7,7 @@ from typing import Unpack
 
 from greybox.automatic.decide import Given, Say, decide
 from greybox.automatic.facts import facts_of
-from greybox.automatic.fit import adaptation, fit_decided, judged_on_pieces, prepare
+from greybox.automatic.fit import adaptation, fit_decided, on_pieces, prepare
 from greybox.data import Dataset
 from greybox.errors import DataError, GreyboxError
 from greybox.estimation.fit import fit as explicit_fit
@@ -86,7 +86,6 @@ def _automatic(
         *hints_of_fit(found),
     )
     try:
-        pieces = judged_on_pieces(vehicle, decided, found)
         if test is not None and len(test):
             dt = sample_time(prepared.data)
             rate = prepared.rate if all(abs(f.dt - dt) <= 1e-6 * dt for f in test) else 1 / dt
@@ -100,7 +99,7 @@ def _automatic(
             )
             held_out = tested.data
             seen = validate(found.model, held_out, adapt=adaptation(recipe, held_out), hints=hints)
-        elif pieces is not None:
+        elif found.converged and (pieces := on_pieces(vehicle, prepared.data, recipe)):
             seen = validate(pieces[0], pieces[1], hints=hints, judged_on=LEFT_OUT)
         else:
             seen = validate(found.model, prepared.data, hints=hints)

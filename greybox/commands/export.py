@@ -15,12 +15,14 @@ def add(commands: Any) -> None:
     p = commands.add_parser(
         "export",
         help="write a fitted model as C and CasADi for a controller",
-        description="Write a fitted model (physics, hybrid or linear) as a folder that a controller can use without "
+        description="Write anything fitted (physics, hybrid, linear, output hybrid, NARX, LSTM, Gaussian "
+        "process) as a folder that a controller can use without "
         "greybox: C with a self-test, CasADi functions rebuilt from numbers, golden vectors, a manifest. An existing folder "
         "is replaced only when it is such a bundle. Exit code 0: done, 1: refused, as the model is not usable, 2: bad "
         "input.",
     )
-    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or `linear`")
+    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, `learn`, `discover` or "
+                   "`linear`, or what save() of a NARX, LSTM or Gaussian process wrote")
     p.add_argument("--out", required=True, metavar="DIR", help="the bundle's folder")
     p.add_argument(
         "--target", default="c,casadi", metavar="T,...", help=f"some of {', '.join(TARGETS)} (default %(default)s)"
@@ -60,7 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
-    model = _model(arguments.model, arguments.effects_file)
+    from greybox.model.effects_file import load_effects
+    from mpc_export.predictors import read_model
+
+    model = read_model(arguments.model, effects=[e for file in arguments.effects_file for e in load_effects(file)])
     judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)
     if not judged.open:
         judged.say("export")
@@ -81,15 +86,3 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, bundle.manifest)
     return 0
 
-
-def _model(path: str, effects_files: list[str]) -> Any:
-    """A model file of any kind that can be exported. Raises `FileFormatError`."""
-    from greybox.files import read_json
-    from greybox.model.effects_file import load_effects
-    from greybox.model.linear import SCHEMA as LINEAR
-    from greybox.model.linear import LinearModel
-    from greybox.residual.files import load_model
-
-    if read_json(path).get("schema") == LINEAR:
-        return LinearModel.load(path)
-    return load_model(path, effects=[e for file in effects_files for e in load_effects(file)])

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from greybox.data.raw import RawLog
     from greybox.estimation.result import Fit
     from greybox.model.vehicle import Vehicle
+    from greybox.model.verdict import Verdict
     from greybox.validation.result import Validation
 
 from greybox.commands.flight_logs import flight_log_options
@@ -45,6 +46,11 @@ def add(subparsers: Any) -> None:
     horizon_options(p)
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
+    p.add_argument(
+        "--judge-left-out",
+        action="store_true",
+        help="judge on pieces of the training flights that a fit of its own leaves out, too",
+    )
     p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
@@ -98,12 +104,11 @@ def run(arguments: argparse.Namespace) -> int:
         result.model.save(out / "model.json")
         return content
 
-    pieces: tuple[Any, Dataset] | None = None
     try:
         if arguments.manual:
             result = fit_with(arguments, vehicle, prepared.data, progress)
         else:
-            result, pieces = _decided(arguments, vehicle, prepared, say, progress)
+            result = _decided(arguments, vehicle, prepared, say, progress)
     except Interrupted as stop:
         save(stop.kept)
         for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
@@ -115,10 +120,16 @@ def run(arguments: argparse.Namespace) -> int:
     physics = _sanity_lines(result)
     checked: dict[str, Any] | None = None
     table = ""
+    pieces: tuple[Any, Dataset] | None = None
     try:
-        seen = _validated(arguments, result, prepared, test, faults, pieces, horizons)
+        if arguments.judge_left_out or not (test.flights or arguments.manual):
+            pieces = _pieces(arguments, vehicle, prepared, result)
+        seen, left_out = _validated(arguments, result, prepared, test, faults, pieces, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
+        if test.flights and left_out is not None:
+            content["left_out"] = left_out.to_dict()
+            write_json(out / "fit.json", content)
         checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
@@ -214,11 +225,11 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
 
 def _decided(
     arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, say: Say, progress: Any
-) -> tuple[Fit, tuple[Any, Dataset] | None]:
-    """(the automatic fit, (model of the first parts of the flights, pieces left out) or None)."""
+) -> Fit:
+    """The automatic fit."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
-    from greybox.automatic.fit import fit_decided, judged_on_pieces
+    from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
 
     say("deciding what is open, on pieces of the flights that are left out:")
@@ -230,16 +241,27 @@ def _decided(
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
     say("fitting all flights:")
-    result = fit_decided(vehicle, prepared, decided, say=say, progress=progress)
-    return result, judged_on_pieces(vehicle, decided, result)
+    return fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+
+
+def _pieces(
+    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, result: Fit
+) -> tuple[Any, Dataset] | None:
+    """(model of the first parts of the flights, pieces left out) by the recipe of the fit; None where nothing can be
+    left out, and of a fit that did not arrive."""
+    from greybox.automatic.fit import on_pieces
+    from greybox.commands.model_options import explicit_recipe
+
+    recipe = result.provenance.recipe or explicit_recipe(arguments)
+    return on_pieces(vehicle, prepared.data, recipe) if result.converged else None
 
 
 def _validated(
     arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
     faults: CheckReport | None, pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
-) -> Validation:  # fmt: skip
-    """On test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
-    flights that were fitted."""
+) -> tuple[Validation, Verdict | None]:  # fmt: skip
+    """(on test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
+    flights that were fitted; the verdict on the pieces, where there are any)."""
     from greybox.validation.advice import hints_of_checks, hints_of_fit, hints_of_sanity
     from greybox.validation.sanity import sanity_of
     from greybox.validation.usefulness import LEFT_OUT
@@ -257,11 +279,14 @@ def _validated(
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
+    left_out = None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
     if test.flights:
-        return validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
-    if pieces is not None:
-        return validate(pieces[0], pieces[1], **horizons, hints=hints, judged_on=LEFT_OUT)
-    return validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+        seen = validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)
+    elif left_out is not None:
+        seen = left_out
+    else:
+        seen = validate(result.model, prepared.data, **horizons, adapt=arguments.adapt, hints=hints)
+    return seen, None if left_out is None else left_out.verdict
 
 
 def _adapted(arguments: argparse.Namespace, result: Fit, test: Dataset) -> float | None:
@@ -292,6 +317,7 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     more += [] if arguments.max_iterations is None else ["--max-iterations", str(arguments.max_iterations)]
     more += ["--effects-file", *arguments.effects_file] if arguments.effects_file else []
     more += ["--keep-impossible"] if arguments.keep_impossible else []
+    more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")
 
 

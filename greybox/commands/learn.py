@@ -38,6 +38,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
     p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
                    "(default: as in fit.json beside it)")  # fmt: skip
+    p.add_argument("--guard", action="store_true", help="of a linear model: raise the sparse GP's "
+                   "variance to that of the full one (docs/residual.md)")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
     p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")
@@ -81,6 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
                 "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
             )
         return run_output(arguments)
+    if arguments.guard:
+        raise GreyboxError(
+            "--guard is for linear models: what is learned of physics has its variance from the errors ahead"
+        )
     own = [e for path in arguments.effects_file for e in load_effects(path)]
     model = load_model(arguments.model, effects=own)
     rate = 1.0 / model.sample_time

@@ -62,7 +62,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     base, channels = combined(models, terms)
     hybrid = fit_output_residual(
         base, train, channels=channels, features=names, kernel=arguments.kernel, points=points, adapt=arguments.adapt,
-        seed=arguments.seed, progress=progress,
+        seed=arguments.seed, guard=arguments.guard, progress=progress,
     )  # fmt: skip
     out = Path(arguments.out)
     hybrid.save(out / "hybrid.json")

@@ -8,16 +8,21 @@ was said.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from greybox.automatic.decide import Given
     from greybox.data import Dataset
     from greybox.estimation.options import FitOptions
+    from greybox.estimation.recipe import Recipe
     from greybox.estimation.result import Fit
     from greybox.estimation.solver import Progress, Solver
     from greybox.model.effect import Effect
     from greybox.model.vehicle import Vehicle
+
+
+HELD: dict[str, bool | Literal["process"]] = {"none": True, "sensor": "process", "all": False}
+"""Words of --hold-noise and the `estimate_noise` that they stand for."""
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -127,8 +132,8 @@ def model_options(p: Any) -> None:
         nargs="?",
         const="all",
         default=None,
-        choices=("none", "sensor", "all"),
-        help="hold the sensors' or all noise levels at their start",
+        metavar="none|sensor|all|NAME,...",
+        help="hold all noise levels at their start, the sensors' (sensor), or some by name",
     )
     p.add_argument(
         "--kinematic-noise",
@@ -171,6 +176,18 @@ def fit_with(
     return fit(model, train, fit_options(arguments), progress=progress)
 
 
+def explicit_recipe(arguments: argparse.Namespace) -> Recipe:
+    """The explicit fit as a recipe; the logs have their rate already."""
+    from greybox.estimation.recipe import Recipe
+
+    return Recipe(
+        effects=(*(arguments.effects or ()), *_own_effects(arguments)),
+        input=arguments.input,
+        kinematic_noise=bool(arguments.kinematic_noise),
+        options=fit_options(arguments),
+    )
+
+
 def fit_options(arguments: argparse.Namespace) -> FitOptions:
     """The choices of an explicit fit: those that were said, defaults for the rest."""
     from greybox.estimation.options import FitOptions
@@ -195,7 +212,9 @@ def given(arguments: argparse.Namespace) -> Given:
 
 def _choices(arguments: argparse.Namespace) -> Any:
     """The fields of `FitOptions` that were said."""
-    held = arguments.hold_noise
+    held = () if arguments.hold_noise is None else names(arguments.hold_noise)
+    groups = [word for word in held if word in HELD]
+    levels = [n if n.startswith("noise.") else f"noise.{n}" for n in held if n not in HELD]
     solver = arguments.solver
     if solver is not None or arguments.max_iterations is not None:
         solver = _solver(solver or "levenberg-marquardt", arguments.max_iterations)
@@ -213,11 +232,8 @@ def _choices(arguments: argparse.Namespace) -> Any:
         "shared": arguments.shared,
         "values": arguments.value,
         "noise": arguments.noise,
-        "estimate_noise": None
-        if held is None
-        else "process"
-        if held == "sensor"
-        else held == "none",
+        "estimate_noise": HELD[groups[-1]] if groups else None,
+        "held_noise": levels or None,
     }
     return {name: value for name, value in said.items() if value is not None}
 

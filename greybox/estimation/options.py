@@ -33,6 +33,7 @@ _TUPLES = (
     "considered",
     "per_flight",
     "shared",
+    "held_noise",
     "build",
 )
 _FLAGS = {
@@ -74,6 +75,7 @@ class FitChoices(TypedDict, total=False):
     flight_priors: Mapping[str, tuple[float, float]] | None
     noise: Mapping[str, float] | None
     estimate_noise: bool | Literal["process"]
+    held_noise: Iterable[str]
     estimate_initial: bool
     seed: int
     starts: int
@@ -122,6 +124,8 @@ class FitOptions:
     ("noise.sensor.p") or a group ("noise.sensor.position"); the longer name wins."""
     estimate_noise: bool | Literal["process"] = True
     """Whether noise levels are unknowns; "process" holds those of the sensors."""
+    held_noise: tuple[str, ...] = ()
+    """Noise levels that are held besides, by the names that `noise` takes."""
     estimate_initial: bool = True
     """Whether initial states are unknowns."""
     seed: int = 0
@@ -196,18 +200,22 @@ class FitOptions:
         """
         flags: list[str] = []
         for name, value in self.to_dict().items():
-            if name not in _FLAGS:
+            if name not in _FLAGS or name in ("estimate_noise", "held_noise"):
                 continue
-            if name == "estimate_noise":
-                text = "sensor" if value == "process" else "all"
-            elif isinstance(value, list):
+            if isinstance(value, list):
                 text = ",".join(value)
             elif isinstance(value, dict):
                 text = ",".join(f"{k.removeprefix('noise.')}={v!r}" for k, v in value.items())
             else:
                 text = str(value)
             flags += [_FLAGS[name], text]
-        return flags
+        return flags + self._held_flags()
+
+    def _held_flags(self) -> list[str]:
+        """Of the noise levels that are held: all, those of the sensors, or some by name."""
+        words = {True: [], "process": ["sensor"], False: ["all"]}[self.estimate_noise]
+        words += [n.removeprefix("noise.") for n in self.held_noise]
+        return [_FLAGS["estimate_noise"], ",".join(words)] if words else []
 
 
 _DEFAULTS: Mapping[str, object] = vars(FitOptions())

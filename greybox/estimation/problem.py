@@ -327,11 +327,12 @@ def make_problem(
     unknowns = [
         _declared(declared[n], values[n], None, o.priors.get(n)) for n in chosen if n not in own
     ]
-    process, sensor = _levels(dynamics, dt, o.noise)
+    process, sensor = _levels(dynamics, dt, o.noise, o.held_noise)
     if o.estimate_noise and predictor.has_noise:
-        unknowns += _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
+        levels = _noise_unknowns("noise.process.", dynamics.noises, process, 3.0)
         if o.estimate_noise != "process":
-            unknowns += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
+            levels += _noise_unknowns("noise.sensor.", dynamics.innovations, sensor, 2.0)
+        unknowns += [u for u in levels if not any(_within(u.name, n) for n in o.held_noise)]
     for f in flights:
         unknowns += [
             _declared(declared[n], values[n], f, o.flight_priors.get(n, o.priors.get(n)))
@@ -396,13 +397,14 @@ def _initial_unknowns(
 
 
 def _levels(
-    dynamics: Dynamics, dt: float, noise: Mapping[str, float]
+    dynamics: Dynamics, dt: float, noise: Mapping[str, float], held: Iterable[str] = ()
 ) -> tuple[FloatArray, FloatArray]:
-    """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place."""
+    """(process (n_w), sensor (n_e)) levels: the model's, those in `noise` in their place. Raises `UnknownNameError` for
+    a name among `noise` or `held` that is none."""
     process, sensor = dynamics.noise_scale(dt), dynamics.sensor_scale()
     known = [f"noise.process.{n}" for n in dynamics.noises.names]
     known += [f"noise.sensor.{n}" for n in dynamics.innovations.names]
-    for n in noise:
+    for n in (*noise, *held):
         if not any(_within(k, n) for k in known):
             raise UnknownNameError("noise level", n, known)
     for names, levels, prefix in (

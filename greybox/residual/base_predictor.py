@@ -49,8 +49,8 @@ ANGLES = ("phi", "theta", "psi")
 QUATERNION = ("qw", "qx", "qy", "qz")
 CHUNK = 2000
 """Origins that are rolled out at once (bounds the memory)."""
-_LATE = re.compile(r"(?P<name>.+)\[t(-(?P<lag>[1-9]\d*))?\]")
-_ERROR = re.compile(r"error\.(?P<name>.+)\[t-1\]")
+LATE = re.compile(r"(?P<name>.+)\[t(-(?P<lag>[1-9]\d*))?\]")
+LAST_ERROR = re.compile(r"error\.(?P<name>.+)\[t-1\]")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,10 +217,10 @@ class BasePredictor:
         return Layout([Signal(name=n, unit=self._unit(n)) for n in names])
 
     def _unit(self, name: str) -> str:
-        last = _ERROR.fullmatch(name)
+        last = LAST_ERROR.fullmatch(name)
         if last:
             return self.dynamics.outputs.signals[self.dynamics.outputs[self.outputs[self._error(name)]]].unit
-        late = _LATE.fullmatch(name)
+        late = LATE.fullmatch(name)
         if late:
             if late["lag"] is None and late["name"] not in self.commands:
                 raise ModelError(
@@ -235,7 +235,7 @@ class BasePredictor:
 
     def _error(self, name: str) -> int:
         """Which output a feature `error.NAME[t-1]` belongs to."""
-        found = _ERROR.fullmatch(name)
+        found = LAST_ERROR.fullmatch(name)
         assert found is not None
         if found["name"] not in self.outputs:
             raise UnknownNameError("feature", name, [f"error.{n}[t-1]" for n in self.outputs])
@@ -310,7 +310,7 @@ class BasePredictor:
         quiet = ca.DM.zeros(len(d.noises))
         y = d.output(0, x, window, numbers, quiet, self.dt)[[d.outputs[n] for n in self.outputs]]
         table = {n: y[i] for i, n in enumerate(self.outputs)}
-        own = [n for n in names if not _LATE.fullmatch(n)]
+        own = [n for n in names if not LATE.fullmatch(n)]
         uses = _uses_errors(names)
         if isinstance(self.model, LinearModel):
             table |= {n: x[i] for i, n in enumerate(d.states.names)}
@@ -337,9 +337,9 @@ class BasePredictor:
         mean = mean + shift
         parts, i, j = [], 0, 0
         for n in names:
-            if _ERROR.fullmatch(n):
+            if LAST_ERROR.fullmatch(n):
                 parts.append((last + error[n_d:])[self._error(n)])
-            elif _LATE.fullmatch(n):
+            elif LATE.fullmatch(n):
                 parts.append(given[j])
                 j += 1
             else:
@@ -442,8 +442,8 @@ class BasePredictor:
 
 def _column(name: str) -> re.Match[str] | None:
     """The match of a feature that is a column of the log."""
-    return None if _ERROR.fullmatch(name) else _LATE.fullmatch(name)
+    return None if LAST_ERROR.fullmatch(name) else LATE.fullmatch(name)
 
 
 def _uses_errors(names: Sequence[str]) -> bool:
-    return any(_ERROR.fullmatch(n) for n in names)
+    return any(LAST_ERROR.fullmatch(n) for n in names)

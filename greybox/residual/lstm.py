@@ -42,7 +42,8 @@ class LSTMModel:
     `input_mean`, `input_scale` (n_z,) and `target_mean`, `target_scale` (n_y,) standardise; with `increments` the target
     is y[t] - y[t-1]. `layers`: per layer input weights (4 H, d), recurrent weights (4 H, H) and bias (4 H,), gates in the
     order input, forget, cell, output; `head`: weights (n_y, H) and bias (n_y,). `variance` (h_max, n_y): mean squared error
-    of the free run at horizon 1 .. h_max on validation data; later horizons get the last. `report` says how it was trained.
+    of the free run at horizon 1 .. h_max on validation data; later horizons get the last. `report` says how it was trained,
+    `dt` [s] is the sample time of the training data.
     Raises `ModelError` where shapes do not fit.
     """
 
@@ -57,6 +58,7 @@ class LSTMModel:
     variance: FloatArray
     train_seconds: float = 0.0
     report: Mapping[str, Any] = field(default_factory=dict)
+    dt: float | None = None
 
     def __post_init__(self) -> None:
         n_z, n_y = self.lags.width, len(self.lags.outputs)
@@ -176,6 +178,7 @@ class LSTMModel:
                 "schema": SCHEMA,
                 "lags": {f: getattr(self.lags, f) for f in Lags.__dataclass_fields__},
                 "increments": self.increments,
+                "dt": self.dt,
                 "layers": len(self.layers),
                 "train_seconds": self.train_seconds,
                 "report": dict(self.report),
@@ -207,6 +210,7 @@ class LSTMModel:
                 head=(arrays["head.weight"], arrays["head.bias"]),
                 train_seconds=float(body["train_seconds"]),
                 report=body["report"],
+                dt=body.get("dt"),
                 **{n: arrays[n] for n in _VECTORS},
             )
         except FileFormatError:

@@ -102,7 +102,7 @@ def train_lstm(
         lags=lags, increments=s.increments, **scaling,
         layers=tuple(_layer(best, i) for i in range(s.layers)),
         head=(best["head.weight"], best["head.bias"]), variance=np.ones((1, n_y)),
-        report={**report, "settings": asdict(s), "seed": seed, "samples": len(z)},
+        report={**report, "settings": asdict(s), "seed": seed, "samples": len(z)}, dt=segments_of(train)[0].dt,
     )  # fmt: skip
     model = replace(model, variance=residual_variance(model, segments_of(validation)))
     return replace(model, train_seconds=time.perf_counter() - began)

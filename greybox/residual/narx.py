@@ -43,13 +43,15 @@ SPACE: dict[str, tuple[Any, ...]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NARXModel:
-    """A GP over `lags`; with `increments` it predicts y[t] - y[t-1]. Plain numbers, no torch. Raises `ModelError`."""
+    """A GP over `lags`; with `increments` it predicts y[t] - y[t-1]; `dt` [s] is the training data's
+    sample time. Plain numbers, no torch. Raises `ModelError`."""
 
     lags: Lags
     increments: bool
     posterior: GPPosterior
     train_seconds: float = 0.0
     report: Mapping[str, Any] = field(default_factory=dict)
+    dt: float | None = None
 
     def __post_init__(self) -> None:
         if self.posterior.inputs.names != self.lags.layout.names or self.posterior.outputs.names != self.lags.outputs:
@@ -132,6 +134,7 @@ class NARXModel:
                 "schema": SCHEMA,
                 "lags": {f: getattr(self.lags, f) for f in Lags.__dataclass_fields__},
                 "increments": self.increments,
+                "dt": self.dt,
                 "train_seconds": self.train_seconds,
                 "report": dict(self.report),
                 "posterior": self.posterior.to_dict(),
@@ -152,6 +155,7 @@ class NARXModel:
                 posterior=GPPosterior.from_dict(body["posterior"]),
                 train_seconds=float(body["train_seconds"]),
                 report=body["report"],
+                dt=body.get("dt"),
             )
         except (KeyError, TypeError) as error:
             raise FileFormatError(f"not a NARX model ({error})", where=str(path)) from None
@@ -185,6 +189,7 @@ def fit_narx(
     return NARXModel(
         lags=lags, increments=increments, posterior=trained.posterior, train_seconds=time.perf_counter() - began,
         report={"settings": settings, "seed": seed, "samples": len(z), "training": trained.report.to_dict()},
+        dt=segments_of(train)[0].dt,
     )  # fmt: skip
 
 

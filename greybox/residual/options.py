@@ -68,8 +68,9 @@ class GPOptions:
     judgement."""
     polish: bool = False
     """Gradient polish of support points and hyper-parameters."""
-    guard: bool = True
-    """Raise a sparse variance to the full GP's (`sparse.variance_guard`)."""
+    guard: bool = False
+    """Raise a sparse variance to the full GP's (`sparse.variance_guard`); else it is the sparse
+    posterior's own, as GPyTorch has it."""
     epochs: int = 5
     """Passes over the data of "svgp"."""
 

@@ -94,7 +94,8 @@ def train_gp(
     factor. share_kernel: one kernel for all outputs, which is cheaper to evaluate. prior_mean: "zero" (what is far from the
     data is left to the physics) or "constant" (the training mean). subset: samples of the exact likelihood. hold_out: share
     of the samples, in whole groups, that judges whether the GP beats a constant; 0 for no judgement. polish: gradient
-    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's (`sparse.variance_guard`).
+    polish of support points and hyper-parameters. guard: raise a sparse variance to the full GP's
+    (`sparse.variance_guard`); else it is the posterior's own.
 
     Rows with a NaN are dropped and counted. Raises `ModelError` (shapes, too few rows), `UnknownNameError`, `FitError`, and
     `MissingExtraError` without the extra `gp`.

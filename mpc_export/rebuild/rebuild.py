@@ -185,7 +185,7 @@ def _argument(x: Any, extra: Mapping[str, Any]) -> Any:
 
 def _column(x: Any) -> Any:
     """The stored entries of a matrix as one dense column."""
-    return x if x.is_column() and x.is_dense() else x.nz[:]
+    return x if x.is_column() and x.is_dense() else ca.reshape(x.nz[:], x.nnz(), 1)  # of a row the entries are a row
 
 
 def _shaped(name: str, given: list[Any], extra: Mapping[str, Any]) -> Any:

@@ -114,7 +114,7 @@ def judged(set_: Residuals, points: Sequence[int], seed: int = 0) -> list[dict[s
         z, r, flights = set_.train
         return train_gp(
             z, r, inputs=set_.inputs, outputs=set_.outputs, method=method, points=m, groups=flights, hold_out=0.0,
-            noise_inflation=1.0, seed=seed,
+            noise_inflation=1.0, guard=True, seed=seed,
         ).posterior  # fmt: skip
 
     z, r = set_.test

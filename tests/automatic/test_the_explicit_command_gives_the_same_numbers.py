@@ -13,6 +13,7 @@ import pytest
 import greybox as gb
 from greybox.cli import main
 from greybox.files import dump_json
+from greybox.validation.usefulness import LEFT_OUT
 from scenarios.plants.flight_log import write_log
 from scenarios.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import flown, plant
@@ -68,6 +69,20 @@ def test_the_explicit_command_gives_the_same_numbers(folder, monkeypatch):
     seen, once_more = (read(folder / f / "validate.json") for f in ("fit", "again"))
     assert once_more["horizons"] == seen["horizons"]
     assert again["verdict"] == first["verdict"]
+
+
+def test_without_test_flights_it_is_judged_on_the_same_pieces_with_the_same_first_line(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    plain = "fit --vehicle v.toml --train a.csv b.csv --out alone --seed 3"
+    assert main(plain.split()) == 0
+    said = capsys.readouterr().out.splitlines()[0]
+    words = shlex.split(read(folder / "alone" / "fit.json")["explicit"]["command"])
+    assert "--judge-left-out" in words
+    assert main([*words[1:], "--out", "alone_again"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == said
+    assert LEFT_OUT in said
+    verdicts = [read(folder / f / "fit.json")["verdict"] for f in ("alone", "alone_again")]
+    assert verdicts[0] == verdicts[1]
 
 
 def test_so_does_the_python_source(folder, monkeypatch):

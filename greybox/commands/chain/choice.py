@@ -9,6 +9,7 @@ from pathlib import Path
 from greybox.commands.chain.request import SoFar
 from greybox.files import read_json
 from greybox.model.verdict import Verdict
+from greybox.validation.usefulness import LEFT_OUT
 
 MARGIN = 0.02
 """Share by which the errors of a larger model must be smaller before it replaces the smaller one.
@@ -17,7 +18,8 @@ Of ours: below it two fits of the same flights differ by the end of their iterat
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """A model file, what it was judged to be (None: not judged), and why it was chosen."""
+    """A model file, what it was judged to be (None: not judged), and why it was chosen. Choices are
+    made on pieces of the training flights; test flights, where there are any, only judge."""
 
     model: Path
     verdict: Verdict | None
@@ -34,6 +36,13 @@ def verdict_of(content: Mapping[str, object]) -> Verdict | None:
     raises."""
     found = content.get("verdict")
     return Verdict.from_dict(found) if isinstance(found, Mapping) else None
+
+
+def left_out_verdict(content: Mapping[str, object]) -> Verdict | None:
+    """The verdict of a fit.json on pieces that were left out, None where there are none."""
+    found = content.get("left_out", content.get("verdict"))
+    verdict = Verdict.from_dict(found) if isinstance(found, Mapping) else None
+    return verdict if verdict is not None and verdict.judged_on == LEFT_OUT else None
 
 
 def relative_error(verdict: Verdict) -> float:
@@ -57,40 +66,42 @@ def best_physics(so_far: SoFar) -> Choice | None:
     if not so_far.ran("fit"):
         return None
     folder = so_far.folders["fit"]
+    content = read_json(folder / "fit.json")
     first = Choice(
-        model=folder / "model.json",
-        verdict=verdict_of(read_json(folder / "fit.json")),
-        why="the automatic fit",
+        model=folder / "model.json", verdict=verdict_of(content), why="the automatic fit"
     )
     if not so_far.ran("refit"):
         return first
     folder = so_far.folders["refit"]
-    again = verdict_of(read_json(folder / "fit.json"))
-    if not better(again, first.verdict):
+    again = read_json(folder / "fit.json")
+    if not better(left_out_verdict(again), left_out_verdict(content)):
         why = "the automatic fit: what discover names does not make it better"
         return Choice(model=first.model, verdict=first.verdict, why=why)
     return Choice(
         model=folder / "model.json",
-        verdict=again,
+        verdict=verdict_of(again),
         why="the fit with the effects that discover names",
     )
 
 
 def best(so_far: SoFar) -> Choice | None:
-    """The hybrid where flights that nobody fitted show it to be better, else the physics."""
+    """The hybrid where the flight that it did not learn from shows it to be better, else the
+    physics."""
     physics = best_physics(so_far)
     if physics is None or not so_far.ran("learn"):
         return physics
     folder = so_far.folders["learn"]
     content = read_json(folder / "learn.json")
-    learned = verdict_of(content)
+    before, after = (
+        verdict_of(content.get("validation", {}).get(k, {})) for k in ("before", "after")
+    )
     if content.get("null") is True:
         said = "nothing was worth learning"
-    elif not so_far.request.test:
-        said = "no --test flights to judge the learned part on, which stays beside it"
-    elif not better(learned, physics.verdict):
+    elif len(so_far.request.train) < 2:
+        said = "no second flight to choose on; the learned part stays beside it"
+    elif not better(after, before):
         said = "the learned part does not make it better"
     else:
         why = f"{physics.why}, with the learned part"
-        return Choice(model=folder / "hybrid.json", verdict=learned, why=why)
+        return Choice(model=folder / "hybrid.json", verdict=after, why=why)
     return replace(physics, why=f"{physics.why}; {said}")

@@ -217,8 +217,9 @@ class _Chain:
         verdict = choice.verdict
         if self.so_far.ran("validate"):
             last = verdict_of(read_json(self.folders["validate"] / "validate.json"))
-            if last is not None and (verdict is None or last.refused):
-                verdict = verdict if verdict is not None and verdict.refused else last
+            fitted = choice.model == self.folders["fit"] / "model.json"
+            if last is not None and (verdict is None or last.refused or not fitted):
+                verdict = verdict if fitted and verdict is not None and verdict.refused else last
         if verdict is None:
             code, line = self.done["fit"].exit_code, NOT_JUDGED
         else:

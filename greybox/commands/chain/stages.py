@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from greybox.commands.chain.choice import best, best_physics
+from greybox.commands.chain.choice import best, best_physics, verdict_of
 from greybox.commands.chain.request import Skip, SoFar, Stage, Work
 from greybox.distribution import install_line
 from greybox.files import read_json
@@ -55,7 +55,6 @@ def _discover(so_far: SoFar) -> Work | Skip:
     recipe = fit.get("recipe") or {}
     options = recipe.get("options") or {}
     words = ["discover", "--vehicle", request.vehicle, "--train", *_trained(so_far)]
-    words += ["--test", *request.test] if request.test else []
     words += [*_mapping(so_far), *_accept(so_far)]
     if recipe.get("rate"):
         words += ["--rate", f"{recipe['rate']:g}"]
@@ -65,7 +64,6 @@ def _discover(so_far: SoFar) -> Work | Skip:
     for option, key in (("--fixed", "fixed"), ("--per-flight", "per_flight")):
         names = [n for n in options.get(key, ()) if n.split(".")[0] not in fit["model"]["effects"]]
         words += [option, ",".join(names)] if names else []
-    words += _adapt(so_far.folders["fit"])
     words += ["--seed", str(request.seed), "--out", str(folder)]
     return Work(commands=(tuple(words),), writes=(folder / "discovery.json",), reads=(fit_file,))
 
@@ -103,8 +101,11 @@ def _learn(so_far: SoFar) -> Work | Skip:
         return closed
     request, folder, chosen = so_far.request, so_far.folders["learn"], best_physics(so_far)
     assert chosen is not None
-    words = ["learn", str(chosen.model), "--train", *_trained(so_far)]
-    words += ["--test", *request.test] if request.test else []
+    trained = _trained(so_far)
+    # The last training flight is not learned from: on it the learned part is chosen or not.
+    first, last = (trained, []) if len(trained) < 2 else (trained[:-1], trained[-1:])
+    words = ["learn", str(chosen.model), "--train", *first]
+    words += ["--test", *last] if last else []
     words += [*_mapping(so_far), *_adapt(chosen.model.parent)]
     words += ["--seed", str(request.seed), "--out", str(folder)]
     return Work(
@@ -140,9 +141,14 @@ def _export(so_far: SoFar) -> Work | Skip:
 
 
 def _closed(so_far: SoFar) -> Skip | None:
-    """Nobody builds on a model that is not usable unless told to."""
+    """Nobody builds on a model that is not usable unless told to; test flights that were flown
+    have the last word."""
     chosen = best(so_far)
-    if chosen is None or not chosen.refused or so_far.request.even_so:
+    refused = chosen is not None and chosen.refused
+    if so_far.ran("validate"):
+        last = verdict_of(read_json(so_far.folders["validate"] / "validate.json"))
+        refused |= last is not None and last.refused
+    if not refused or so_far.request.even_so:
         return None
     return Skip(reason="the model is NOT USABLE; to go on all the same: --even-so")
 
@@ -154,7 +160,7 @@ def _mapping(so_far: SoFar) -> list[str]:
 
 def _fit_options(so_far: SoFar) -> list[str]:
     request = so_far.request
-    words = ["--test", *request.test] if request.test else []
+    words = ["--test", *request.test, "--judge-left-out"] if request.test else []
     words += _mapping(so_far)
     words += [] if request.rate is None else ["--rate", f"{request.rate:g}"]
     return [*words, "--seed", str(request.seed)]

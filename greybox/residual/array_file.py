@@ -1,0 +1,78 @@
+"""Numbers on disk: one JSON file with a schema and a checksum, and the large arrays beside it
+(same stem, .npz).
+
+Numbers only: nothing in either file is executed.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import FileFormatError
+from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
+from greybox.symbolic import FloatArray
+
+
+def write_with_arrays(
+    path: str | os.PathLike[str],
+    schema: str,
+    plain: Mapping[str, Any],
+    arrays: Mapping[str, FloatArray],
+) -> Path:
+    """Write `plain` to `path` and `arrays` beside it, each atomically. Returns the path."""
+    target = Path(path)
+    beside = target.with_suffix(".npz")
+    body = {
+        "schema": schema,
+        **to_plain(dict(plain)),
+        "arrays": beside.name,
+        "arrays_sha256": _digest(arrays),
+    }
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    write_atomic(beside, buffer.getvalue())
+    return write_json(target, {**body, "checksum": checksum(body)})
+
+
+def read_with_arrays(
+    path: str | os.PathLike[str], schema: str
+) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+    """What `write_with_arrays` wrote. Raises `FileFormatError` (schema, checksum, missing or
+    foreign arrays)."""
+    where = str(path)
+    body = read_json(path, schema=schema)
+    if body.pop("checksum", None) != checksum(body):
+        raise FileFormatError(
+            "the checksum does not match",
+            where=where,
+            fix="the file was edited or is damaged; write it again",
+        )
+    beside = Path(path).parent / Path(str(body.get("arrays"))).name
+    try:
+        with np.load(beside, allow_pickle=False) as stored:
+            arrays = {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise FileFormatError(
+            f"cannot read the arrays ({error})",
+            where=str(beside),
+            fix="keep the .npz beside its .json",
+        ) from None
+    if _digest(arrays) != body.get("arrays_sha256"):
+        raise FileFormatError(
+            "these are not the arrays of that file",
+            where=str(beside),
+            fix="copy both files together",
+        )
+    return body, arrays
+
+
+def _digest(arrays: Mapping[str, FloatArray]) -> str:
+    parts = {n: [list(a.shape), np.ascontiguousarray(a).tobytes().hex()] for n, a in arrays.items()}
+    return checksum(dict(sorted(parts.items())))

@@ -1,0 +1,80 @@
+"""Covariance functions that can be put together, by name in files and by GPyTorch's class names.
+
+A new one is a file here and a line in `COVARIANCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from greybox.errors import FileFormatError, GreyboxError, ModelError
+from greybox.residual.covariances.algebra import OnDims, Product, Scaled, Sum
+from greybox.residual.covariances.constant import Constant
+from greybox.residual.covariances.covariance import Covariance, Pick
+from greybox.residual.covariances.linear import Linear
+from greybox.residual.covariances.matern import Matern
+from greybox.residual.covariances.periodic import Periodic
+from greybox.residual.covariances.polynomial import Polynomial
+from greybox.residual.covariances.rational_quadratic import RationalQuadratic
+from greybox.residual.covariances.rbf import RBF
+
+COVARIANCES: tuple[type[Covariance], ...] = (
+    RBF,
+    Matern,
+    RationalQuadratic,
+    Periodic,
+    Linear,
+    Polynomial,
+    Constant,
+    Sum,
+    Product,
+    Scaled,
+    OnDims,
+)
+_BY_KIND = {c.kind: c for c in COVARIANCES}
+_BY_MODULE = {c.module: c for c in COVARIANCES if c.module}
+
+
+def covariance_from_dict(value: Mapping[str, Any]) -> Covariance:
+    """Inverse of `Covariance.to_dict`. Raises `FileFormatError`."""
+    try:
+        return _BY_KIND[value["kind"]].from_dict({k: v for k, v in value.items() if k != "kind"})
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
+            raise
+        raise FileFormatError(f"not a covariance: {error}") from None
+
+
+def read_module(module: Any, pick: Pick, where: str, *, whole: bool = False) -> Covariance:
+    """The covariance that a GPyTorch kernel module is; `where` is its place in the model.
+
+    A subclass counts as what it is made from only where it changes nothing in `forward`. With
+    `whole` the module's own active dimensions do not count, as inside GPyTorch's ScaleKernel and
+    MultitaskKernel. Raises `ModelError` that names a module which is not supported and its place.
+    """
+    own: Any = type(module)
+    known: Any = next((c for c in own.__mro__ if c.__name__ in _BY_MODULE), None)
+    name = own.__name__
+    if known is None or own.forward is not known.forward:
+        raise ModelError(
+            f"{name} in {where} is not supported",
+            expected=", ".join(sorted(_BY_MODULE)),
+            fix="use these, or sums, products and scales of them",
+        )
+    kind = _BY_MODULE[known.__name__]
+    found: Covariance
+    if kind in (Sum, Product):
+        members = [
+            read_module(m, pick, f"{where}.kernels.{i}") for i, m in enumerate(module.kernels)
+        ]
+        found = Sum(parts=tuple(members)) if kind is Sum else Product(parts=tuple(members))
+    elif kind is Scaled:
+        inner = read_module(module.base_kernel, pick, f"{where}.base_kernel", whole=True)
+        found = Scaled(factor=pick.scalar(module.outputscale), inner=inner)
+    else:
+        found = kind.read(module, pick)
+    dims = getattr(module, "active_dims", None)
+    if dims is None or whole:
+        return found
+    return OnDims(dims=tuple(dims.tolist()), inner=found)
