@@ -30,6 +30,7 @@ _PUBLIC = {
     "Layout": "greybox.symbolic",
     "Signal": "greybox.symbolic",
     "IdentifiedModel": "greybox.model.identified",
+    "load": "greybox.commands.front_door",
     "load_model": "greybox.residual.files",
     "save_model": "greybox.residual.files",
     "learn": "greybox.residual.learn",
@@ -39,8 +40,13 @@ _PUBLIC = {
     "fit": "greybox.automatic",
     "Fit": "greybox.estimation.fit",
     "validate": "greybox.validation.validate",
+    "fit_linear": "greybox.estimation.linear.fit",
+    "profile": "greybox.commands.front_door",
+    "compare": "greybox.commands.front_door",
+    "export": "greybox.commands.front_door",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
+    "twin": "greybox.simulators.make",
     "GreyboxError": "greybox.errors",
 }
 
@@ -61,21 +67,27 @@ __all__ = [
     "build_model",
     "check",
     "check_vehicle",
+    "compare",
     "dataset_from_arrays",
     "discover",
+    "export",
     "fit",
+    "fit_linear",
     "fit_report",
     "from_gpytorch",
     "identify",
     "inspect_log",
     "learn",
+    "load",
     "load_effects",
     "load_model",
     "plan",
+    "profile",
     "read_log",
     "read_logs",
     "read_vehicle",
     "save_model",
+    "twin",
     "validate",
     "vehicle_findings",
 ]
@@ -83,6 +95,7 @@ __all__ = [
 if TYPE_CHECKING:
     from greybox.automatic import fit
     from greybox.commands.chain.front_door import identify
+    from greybox.commands.front_door import compare, export, load, profile
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.inspection import inspect_log
@@ -90,6 +103,7 @@ if TYPE_CHECKING:
     from greybox.discovery.workflow import discover
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import Fit
+    from greybox.estimation.linear.fit import fit_linear
     from greybox.model.dynamics import StateSpaceModel
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
@@ -102,6 +116,7 @@ if TYPE_CHECKING:
     from greybox.residual.files import load_model, save_model
     from greybox.residual.from_gpytorch import from_gpytorch
     from greybox.residual.learn import learn
+    from greybox.simulators.make import twin
     from greybox.symbolic import Layout, Signal
     from greybox.validation.validate import validate
 

@@ -12,10 +12,11 @@ import importlib
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 COMMANDS = (
-    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "linear", "learn",
-    "discover", "compare", "export", "mpc", "effects", "cite", "completion",
+    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "learn",
+    "discover", "compare", "export", "twin", "mpc", "effects", "cite", "completion",
 )  # fmt: skip
 
 
@@ -58,8 +59,33 @@ def _hush(arguments: argparse.Namespace) -> Iterator[None]:
         yield
 
 
+class _PlainText:
+    """A stream that hands on text with escapes for what a terminal would act on: names of files and
+    what stands in them reach the terminal in many lines, and must not move its cursor."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """As of a text stream."""
+        from greybox.errors import printable
+
+        if not text.isprintable():
+            text = "".join(c if c in "\n\t" else printable(c) for c in text)
+        return int(self._stream.write(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    out, err = _PlainText(sys.stdout), _PlainText(sys.stderr)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     from greybox.distribution import NAME, other_greybox
     from greybox.errors import GreyboxError
     from greybox.interrupts import kept_interrupts

@@ -134,6 +134,8 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dic
             json.dumps(value, ensure_ascii=False).encode()  # half of a pair is no text that could be written again
     except FileNotFoundError:
         raise FileFormatError("no such file", where=where, fix="check the path") from None
+    except IsADirectoryError:
+        raise FileFormatError("a folder, not a file", where=where, fix=_instead(Path(path), schema)) from None
     except OSError as error:
         raise FileFormatError(f"cannot read: {error.strerror}", where=where) from None
     except (ValueError, RecursionError) as error:
@@ -144,9 +146,26 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dic
         raise FileFormatError("not a JSON object", where=where, got=type(value).__name__)
     if schema is not None and value.get("schema") != schema:
         raise FileFormatError(
-            "wrong schema", where=where, expected=schema, got=repr(value.get("schema")), fix="pass a file of that kind"
-        )
+            "wrong schema", where=where, expected=schema, got=repr(value.get("schema")),
+            fix=_instead(Path(path).parent, schema),
+        )  # fmt: skip
     return value
+
+
+def _instead(folder: Path, schema: str | None) -> str:
+    """Which file of a folder to pass: those of the schema, or the JSON files that there are."""
+    with contextlib.suppress(OSError):
+        files = sorted(p for p in folder.iterdir() if p.suffix == ".json" and p.is_file())[:50]
+        named = [p for p in files if schema is not None and _begins_with(p, schema)]
+        if named or (files and schema is None):
+            return f"pass {' or '.join(str(p) for p in (named or files)[:5])}"
+    return "pass a file of that kind"
+
+
+def _begins_with(path: Path, schema: str) -> bool:
+    """Whether a file that greybox wrote is of a schema, which stands first in it."""
+    with open(path, "rb") as stream:
+        return json.dumps(schema).encode() in stream.read(200)
 
 
 def read_limited(path: str | os.PathLike[str], limit: int) -> bytes:

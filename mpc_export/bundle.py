@@ -97,6 +97,8 @@ class ExportBundle(Shown):
     def load(folder: str | os.PathLike[str]) -> ExportBundle:
         """Read a bundle and check that its files are whole and inside it. Raises `FileFormatError`."""
         where = Path(folder)
+        if (where / "manifest.json").exists() and not (where / "manifest.json").is_file():
+            raise FileFormatError("not a file", where=str(where / "manifest.json"), fix="export again")
         manifest = read_json(where / "manifest.json", schema=SCHEMA)
         if manifest.get("checksum") != checksum({k: v for k, v in manifest.items() if k != "checksum"}):
             raise FileFormatError("the checksum does not fit", where=str(where / "manifest.json"), fix="export again")
@@ -253,7 +255,8 @@ def _kernels(functions: ModelFunctions) -> tuple[Any, ...]:
 def is_bundle(folder: Path) -> bool:
     """Whether a folder holds a manifest of ours."""
     try:
-        return bool(json.loads((folder / "manifest.json").read_text(encoding="utf-8")).get("schema") == SCHEMA)
+        path = folder / "manifest.json"  # a pipe of that name would never end
+        return path.is_file() and bool(json.loads(path.read_text(encoding="utf-8")).get("schema") == SCHEMA)
     except (OSError, ValueError, AttributeError, RecursionError):
         return False
 

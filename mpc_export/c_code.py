@@ -30,6 +30,11 @@ from greybox.files import write_atomic
 from mpc_export.c_kernels_products import PRODUCTS
 
 Real = Literal["double", "float"]
+RESTRICT = """#if defined(__cplusplus) && !defined(restrict)
+#define restrict __restrict  /* C++ has no such word, its compilers have this one */
+#endif
+
+"""
 STRICT_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter")
 FAST_FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno")
 LIBM = (
@@ -151,7 +156,7 @@ def write_c(
         text = single_precision(text)
     described = tuple(_describe(f, prefix, text) for f in functions)
     text = _exported(text, {n: f"{prefix}_{n}" for n in names})
-    text = f'#include "{prefix}.h"\n\n{text.strip()}\n'
+    text = f'#include "{prefix}.h"\n\n{RESTRICT if "restrict" in text else ""}{text.strip()}\n'
     source, header = Path(folder) / f"{prefix}.c", Path(folder) / f"{prefix}.h"
     source.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(source, text.encode())

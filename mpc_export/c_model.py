@@ -392,7 +392,7 @@ includedir=${{prefix}}/@CMAKE_INSTALL_INCLUDEDIR@
 libdir=${{prefix}}/@CMAKE_INSTALL_LIBDIR@
 
 Name: {self.name}
-Description: {_comment(self.functions.name)}, written by greybox
+Description: {re.sub(r"[^A-Za-z0-9 _.,:+-]", "_", self.functions.name)}, written by greybox
 Version: {self.version}
 Cflags: -I${{includedir}}
 Libs: -L${{libdir}} -l{self.name} -lm
@@ -437,7 +437,9 @@ def _tame(value: float) -> float:
 
 
 def _comment(text: str) -> str:
-    return re.sub(r"[^\x20-\x7e]", "?", text).replace("*/", "* /")
+    """Text that ends no comment, begins none, and is no trigraph."""
+    plain = re.sub(r"[^\x20-\x7e]", "_", text).replace("\\", "/")
+    return re.sub(r"\?(?=\?)", "? ", re.sub(r"/(?=\*)|\*(?=/)", lambda m: f"{m[0]} ", plain))
 
 
 def sizes_of(source: CSource) -> Mapping[str, Any]:

@@ -46,6 +46,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.estimation.engine import unfelt_place
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of, physics_of
@@ -435,13 +436,18 @@ class _Builder:
         )
 
     def _box(self) -> Any:
-        """Largest relative overshoot of commands and outputs over their training range (x, y and quaternions left out)."""
+        """Largest relative overshoot of commands and outputs over their training range.
+
+        Quaternions are left out, and coordinates of the place that no motion depends on: physics
+        that was learned in one corner of a room holds in the other.
+        """
         domain = _domain_of(self.model)
         s = self.sampled
         u, p = self.u, self.p
         signals = {n: u[i] for i, n in enumerate(s.inputs.names)}
         signals |= {n: p[s.parameters[n]] for n in s.exogenous}
-        free = {"x", "y", "qw", "qx", "qy", "qz"}
+        felt = any(n.startswith("position.") for n in s.states.names)
+        free = {*(unfelt_place(s.dynamics) if felt else "xy"), "qw", "qx", "qy", "qz"}
         quiet = ca.DM.zeros(self.w.numel())
         y = s.output(self.x, u, p, quiet)
         signals |= {n: y[i] for i, n in enumerate(s.dynamics.outputs.names) if n not in free}

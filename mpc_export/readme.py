@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+from greybox.errors import printable
 
 LISTED = 60
 
@@ -69,7 +72,7 @@ def readme(manifest: Mapping[str, Any]) -> str:
     """README.md: what it is, how to check it, ordering tables, functions."""
     m, n = manifest, manifest["name"]
     lines = [
-        f"# {n}: {m['model']['name']}", "",
+        f"# {n}: {plain(m['model']['name'])}", "",
         f"A {m['model']['kind']} model that greybox {m['versions']['greybox']} identified, {m['sample_time']:g} s a sample, "
         "as code. It needs nothing of greybox.", "",
     ]  # fmt: skip
@@ -128,8 +131,13 @@ def readme(manifest: Mapping[str, Any]) -> str:
         f"{m['thread_safety'][0].upper()}{m['thread_safety'][1:]}.", "",
     ]  # fmt: skip
     if m["notes"]:
-        lines += ["## Beware", "", *(f"- {note[0].upper()}{note[1:]}." for note in m["notes"]), ""]
+        lines += ["## Beware", "", *(f"- {plain(note[0].upper() + note[1:])}." for note in m["notes"]), ""]
     return "\n".join([*lines, "Licences: LICENSES/.", ""])
+
+
+def plain(text: str) -> str:
+    """A name or note as itself in Markdown: on one line, no cell, link, code or HTML of its own."""
+    return re.sub(r"([\\`|<>\[\]#])", r"\\\1", printable(text))
 
 
 def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
@@ -141,7 +149,7 @@ def _table(title: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]
     lines.append("|" + "---|" * (4 + len(columns)))
     for row in rows[:LISTED]:
         numbers = "".join(f"{'-' if row[c] is None else format(row[c], '.6g')} | " for c in columns)
-        lines.append(f"| {row['index']} | {row['name']} | {row['unit']} | {numbers}{row['meaning']} |")
+        lines.append(f"| {row['index']} | {plain(row['name'])} | {plain(row['unit'])} | {numbers}{plain(row['meaning'])} |")
     if len(rows) > LISTED:
         lines.append(f"| ... | {len(rows) - LISTED} more: manifest.json | |" + " |" * (1 + len(columns)))
     return [*lines, ""]

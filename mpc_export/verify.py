@@ -19,6 +19,7 @@ import json
 import os
 import re
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -28,8 +29,14 @@ from typing import Any
 
 SCHEMA = "greybox.bundle/1"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+C_LIMIT = {"double": 1e-10, "float": 1e-4}
+"""Largest difference between C and golden vectors, in units of the output's scale: a bundle may ask for less."""
 REBUILD_LIMIT = 1e-11
 """Other versions of CasADi order sums differently."""
+LARGEST_MANIFEST, LARGEST, MOST_FILES = 2**27, 500 * 2**20, 5000
+"""Bytes of the manifest and of all files together, and how many of them, at most."""
+SECONDS = 900.0
+"""So long a compiler or a self-test may take."""
 Point = tuple[list[list[float]], list[list[float]]]
 
 
@@ -37,15 +44,47 @@ class VerifyError(Exception):
     """Something that makes verification impossible or wrong, in one line."""
 
 
+def say(text: str, *, error: bool = False) -> None:
+    """Print with escapes for what a terminal would act on: names come from the bundle."""
+    shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+    print(shown, file=sys.stderr if error else sys.stdout)
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest, checked by schema. Raises `VerifyError`."""
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        path = folder / "manifest.json"
+        size(path, LARGEST_MANIFEST)
+        manifest = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise VerifyError(f"{folder}: not a bundle ({error})") from None
     if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
         raise VerifyError(f"{folder}: not a bundle of this version, expected schema {SCHEMA}")
     return manifest
+
+
+def size(path: Path, limit: int = LARGEST) -> int:
+    """Bytes of a regular file: reading a pipe or a device may never end. Raises `VerifyError`."""
+    state = path.lstat()
+    if not stat.S_ISREG(state.st_mode):
+        raise VerifyError(f"{path}: not a regular file")
+    if state.st_size > limit:
+        raise VerifyError(f"{path}: {state.st_size} bytes, at most {limit}")
+    return state.st_size
+
+
+def check_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
+    """Files of the folder that the manifest does not list. Raises `VerifyError` for what is no regular
+    file (a link, a pipe), too many and too large ones."""
+    there, total = [], 0
+    for path in folder.rglob("*"):
+        if path.is_dir() and not path.is_symlink():
+            continue
+        total += size(path)
+        there.append(path.relative_to(folder).as_posix())
+        if total > LARGEST or len(there) > MOST_FILES:
+            raise VerifyError(f"{folder}: more than {LARGEST} bytes or {MOST_FILES} files")
+    return sorted(n for n in {*there} - {*manifest["files"], "manifest.json"} if not n.startswith("build/"))
 
 
 def check_names(manifest: Mapping[str, Any]) -> None:
@@ -102,6 +141,17 @@ def gap(function: Mapping[str, Any], got: Sequence[Sequence[float]], want: Seque
     return worst
 
 
+def check_scales(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """The scales by which differences are judged are those of the golden results. Raises `VerifyError`."""
+    for function in manifest["functions"]:
+        largest = [1e-30] * len(function["results"])
+        for _, results in golden(folder, function):
+            largest = [max(m, *map(abs, r)) if r else m for m, r in zip(largest, results, strict=True)]
+        for port, own in zip(function["results"], largest, strict=True):
+            if not 0 < port["scale"] <= own * (1 + 1e-9):
+                raise VerifyError(f"{function['name']}: scale {port['scale']:g} of {port['name']}, the results have {own:g}")
+
+
 # ---------------------------------------------------------------------------------------------------- C
 
 
@@ -117,7 +167,12 @@ def find_compiler(asked: str | None) -> str:
 
 def run(command: Sequence[str]) -> str:
     """Standard output of a command. Raises `VerifyError` with its first complaint."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", check=False, timeout=SECONDS, stdin=subprocess.DEVNULL
+        )
+    except subprocess.TimeoutExpired:
+        raise VerifyError(f"{command[0]} did not end within {SECONDS:g} s") from None
     if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines()
         raise VerifyError(f"{' '.join(command[:1])} failed with code {done.returncode}: {said[0] if said else ''}")
@@ -133,7 +188,7 @@ def build(folder: Path, manifest: Mapping[str, Any], compiler: str, work: Path) 
         run([compiler, *STRICT, *extra, "-O1", "-fPIC", "-c", str(source / f"{stem}.c"), "-o", objects[-1]])
     program = work / "selftest"
     run([compiler, *objects, "-o", str(program), "-lm"])
-    print(f"  {run([str(program)]).strip()}")
+    say(f"  {run([str(program)]).strip()}")
     library = work / "model.so"
     run([compiler, "-shared", *objects[:2], "-o", str(library), "-lm"])
     return library
@@ -220,7 +275,7 @@ def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[s
     if not (folder / "casadi").is_dir():
         return out
     if manifest["versions"]["casadi"] != ca.CasadiMeta.version():
-        print(f"  casadi/: not checked, written by {manifest['versions']['casadi']}, here is {ca.CasadiMeta.version()}")
+        say(f"  casadi/: not checked, written by {manifest['versions']['casadi']}, here is {ca.CasadiMeta.version()}")
         return out
     files = {f["name"]: ca.Function.load(str(folder / "casadi" / f"{f['name']}.casadi")) for f in manifest["functions"]}
     return {**out, "casadi files": verify_functions(folder, manifest, files)}
@@ -233,22 +288,27 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
     """Verify a bundle and print what was found. Raises `VerifyError` where that cannot be done."""
     manifest = read_manifest(folder)
     check_names(manifest)
-    print(f"{folder}: {manifest['name']}, {manifest['model']['name']}")
+    say(f"{folder}: {manifest['name']}, {manifest['model']['name']}")
+    unknown = check_files(folder, manifest)
+    if unknown:
+        say(f"  not of the export: {', '.join(unknown[:20])}")
     changed = changed_files(folder, manifest)
+    check_scales(folder, manifest)
     if changed:
-        print(f"  changed since the export: {', '.join(changed)}")
+        say(f"  changed since the export: {', '.join(changed[:20])}")
     found: dict[str, tuple[dict[str, float], float]] = {}
     if manifest["c"] and with_c:
-        found["C"] = (verify_c(folder, manifest, find_compiler(compiler)), manifest["tolerance"])
+        limit = min(manifest["tolerance"], C_LIMIT[manifest["c"]["real"]])
+        found["C"] = (verify_c(folder, manifest, find_compiler(compiler)), limit)
     found |= {k: (v, REBUILD_LIMIT) for k, v in verify_casadi(folder, manifest).items()}
     if not found:
         print("  nothing was compared: it needs a C compiler or casadi")
-    good = bool(found) and not changed
+    good = bool(found) and not changed and not unknown
     for what, (gaps, limit) in found.items():
         name = max(gaps, key=lambda n: gaps[n])
         passed = gaps[name] <= limit
         good = good and passed
-        print(
+        say(
             f"  {what}: largest difference {gaps[name]:.2g} of the output's scale, in {name} (limit {limit:g}): "
             f"{'passed' if passed else 'FAILED'}"
         )
@@ -265,14 +325,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         read_manifest(arguments.folder)
     except VerifyError as error:
-        print(f"verify: {error}", file=sys.stderr)
+        say(f"verify: {error}", error=True)
         return 2
     try:
         return 0 if verify(arguments.folder, arguments.cc, with_c=not arguments.no_c) else 1
     except VerifyError as error:
-        print(f"verify: {error}", file=sys.stderr)
+        say(f"verify: {error}", error=True)
     except Exception as error:  # damage shows wherever the bundle is read
-        print(f"verify: {arguments.folder}: damaged ({type(error).__name__}: {error})", file=sys.stderr)
+        say(f"verify: {arguments.folder}: damaged ({type(error).__name__}: {error})", error=True)
     return 1
 
 

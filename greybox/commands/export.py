@@ -6,6 +6,8 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.own_model import model_file_option
+
 TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
 GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
 
@@ -38,6 +40,7 @@ def add(commands: Any) -> None:
     )
     p.add_argument("--points", type=int, metavar="M", help="fewer support points for the learned part")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    model_file_option(p)
     p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
     p.add_argument("--json", metavar="FILE", help="write the manifest; - for standard output")
@@ -62,10 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--target", expected=f"some of {', '.join(TARGETS)}", got=repr(arguments.target))
     if arguments.dt is not None and not 0 < arguments.dt < float("inf"):
         raise DataError("--dt", expected="a positive number of seconds", got=f"{arguments.dt:g}")
-    from greybox.model.effects_file import load_effects
-    from mpc_export.predictors import read_model
-
-    model = read_model(arguments.model, effects=[e for file in arguments.effects_file for e in load_effects(file)])
+    model = _model(arguments)
     judged = gate(read_json(arguments.model), arguments.model, even_so=arguments.even_so)
     if not judged.open:
         judged.say("export")
@@ -86,3 +86,14 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(arguments.json, bundle.manifest)
     return 0
 
+
+def _model(arguments: argparse.Namespace) -> Any:
+    """A fitted model of any kind. Raises `FileFormatError`, `ModelError`."""
+    from greybox.commands.own_model import loaded
+    from greybox.model.effects_file import load_effects
+    from mpc_export.predictors import read_model
+
+    if arguments.model_file:
+        return loaded(arguments)
+    own = [e for path in arguments.effects_file for e in load_effects(path)]
+    return read_model(arguments.model, effects=own)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.model_options import fit_with, given, model_options
+from greybox.commands.own_model import model_file_option
 
 Say = Callable[[str], None]
 
@@ -37,7 +38,8 @@ def add(subparsers: Any) -> None:
         "and report.html. Exit code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: "
         "interrupted.",
     )
-    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
+    model_file_option(p, read=False)
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
     flight_log_options(p)
@@ -69,14 +71,23 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
 
+    if (arguments.vehicle is None) == (arguments.model_file is None):
+        raise GreyboxError(
+            "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
+            fix="--vehicle V.toml",
+        )  # fmt: skip
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    if arguments.model_file is not None:
+        from greybox.commands.fit_own import run as run_own
+
+        return run_own(arguments)
     quiet = arguments.json == "-"
 
     def say(text: str) -> None:
         if not quiet:
             print(text, file=sys.stderr, flush=True)
 
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     prepared, test = _flights(arguments, vehicle)

@@ -4,6 +4,7 @@ code."""
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -48,14 +49,15 @@ def accepted(text: str) -> tuple[str, ...]:
 
 def horizon_options(p: Any) -> None:
     """Declare --horizons (seconds) and --horizons-samples."""
-    from greybox.validation.horizons import HORIZONS
+    from greybox.validation.horizons import HORIZONS, SAMPLES
 
     default = ",".join(f"{h:g}" for h in HORIZONS)
+    samples = ", ".join(map(str, SAMPLES))
     p.add_argument(
         "--horizons",
-        default=default,
+        default=None,
         metavar="S,...",
-        help="seconds ahead to list (default %(default)s)",
+        help=f"seconds ahead to list (default {default}; {samples} samples of a model of your own)",
     )
     p.add_argument(
         "--horizons-samples",
@@ -65,26 +67,29 @@ def horizon_options(p: Any) -> None:
     )
 
 
-def given_horizons(arguments: argparse.Namespace) -> dict[str, Any]:
-    """`horizons` and `horizon_samples` as `validate` takes them. Raises `DataError` for what is
-    neither."""
-    from greybox.validation.horizons import parse_samples, parse_seconds
+def given_horizons(arguments: argparse.Namespace, *, own: bool = False) -> dict[str, Any]:
+    """`horizons` and `horizon_samples` as `validate` takes them, None where nothing was said. A
+    model of the user's `own` has no longest horizon. Raises `DataError` for what is neither."""
+    from greybox.validation.horizons import LONGEST, parse_samples, parse_seconds
 
     samples = (
         None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
     )
-    return {"horizons": parse_seconds(arguments.horizons), "horizon_samples": samples}
+    longest = math.inf if own else LONGEST
+    seconds = None if arguments.horizons is None else parse_seconds(arguments.horizons, longest=longest)
+    return {"horizons": seconds, "horizon_samples": samples}
 
 
 def horizon_steps(arguments: argparse.Namespace, sample_time: float) -> tuple[int, ...]:
     """The horizons that were asked for as numbers of samples of `sample_time` [s]; what was changed
     is said."""
-    from greybox.validation.horizons import horizons_of, parse_samples, parse_seconds
+    from greybox.validation.horizons import HORIZONS, horizons_of, parse_samples, parse_seconds
 
     samples = (
         None if arguments.horizons_samples is None else parse_samples(arguments.horizons_samples)
     )
-    found = horizons_of(parse_seconds(arguments.horizons), samples=samples, sample_time=sample_time)
+    seconds = HORIZONS if arguments.horizons is None else parse_seconds(arguments.horizons)
+    found = horizons_of(seconds, samples=samples, sample_time=sample_time)
     for note in found.notes:
         print(f"greybox: {note}", file=sys.stderr)
     return found.steps

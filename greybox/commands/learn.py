@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
 
 def add(subparsers: Any) -> None:
@@ -35,6 +36,7 @@ def add(subparsers: Any) -> None:
     horizon_options(p)
     p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py",
                    help="effects of your own in the model, and the laws of model_with_laws.json")  # fmt: skip
+    model_file_option(p)
     p.add_argument("--vehicle", metavar="V.toml", help="of a linear model: vehicle file, for its column names")
     p.add_argument("--channels", metavar="'roll=u4-u2,...'", help="of a linear model: sums of columns that its channels are "
                    "(default: as in fit.json beside it)")  # fmt: skip
@@ -49,18 +51,18 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import is_linear, run_output
-    from greybox.data import Dataset
     from greybox.errors import GreyboxError
     from greybox.files import dump_json, write_atomic, write_json
-    from greybox.model.effects_file import load_effects
+    from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
     from greybox.report.learn_report import learn_report
-    from greybox.residual.files import load_model, save_model
+    from greybox.residual.files import save_model
     from greybox.residual.learn import learn
+    from greybox.residual.train import check_extra
     from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
-    horizons = given_horizons(arguments)
+    check_extra()
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     points: int | str = arguments.points
@@ -87,20 +89,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError(
             "--guard is for linear models: what is learned of physics has its variance from the errors ahead"
         )
-    own = [e for path in arguments.effects_file for e in load_effects(path)]
-    model = load_model(arguments.model, effects=own)
-    rate = 1.0 / model.sample_time
-    train = read_flight_logs(arguments, arguments.train, model.physics.vehicle, rate=rate)
-    test = (
-        read_flight_logs(arguments, arguments.test, model.physics.vehicle, rate=rate)
-        if arguments.test
-        else Dataset(flights=())
+    model = loaded(arguments)
+    horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
+    train, test = (
+        read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
+        for paths in (arguments.train, arguments.test)
     )
-    both = sorted(set(train.names) & set(test.names))
-    if both:
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
-        )
+    demand_disjoint(train, test)
 
     def progress(text: str, share: float) -> None:
         if not quiet:

@@ -110,10 +110,21 @@ def run_output(arguments: argparse.Namespace) -> int:
 def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate: float, mapping: Any) -> Any:
     """The logs as flights that hold every output under its name."""
     from greybox.data import Dataset
+    from greybox.errors import DataError, UnknownNameError
     from greybox.estimation.linear.logs import read_records
 
+    try:
+        found = read_records(paths, inputs, outputs, vehicle, rate=rate, mapping=mapping)
+    except UnknownNameError as error:
+        if vehicle is not None:
+            raise
+        wanted = ", ".join(dict.fromkeys(c for s in (*inputs, *outputs) for _, c in s.terms))
+        raise DataError(
+            f"the log lacks columns of the model: {str(error).partition('. Usual fix')[0]}", expected=wanted,
+            fix="--vehicle V.toml, where the model was fitted with a vehicle file that names the columns",
+        ) from None
     flights = []
-    for flight in read_records(paths, inputs, outputs, vehicle, rate=rate, mapping=mapping).flights:
+    for flight in found.flights:
         segments = tuple(
             s.replace({o.name: sum(w * s.column(c) for w, c in o.terms) for o in outputs}) for s in flight.segments
         )

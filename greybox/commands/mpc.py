@@ -84,9 +84,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     _check(arguments)
     from greybox.commands.judgement import gate
+    from greybox.errors import GreyboxError
     from greybox.files import read_json
 
     file = {} if arguments.subject == "demo" else read_json(arguments.subject)
+    base = file.get("base")
+    if "own" in (file.get("kind"), base.get("kind") if isinstance(base, dict) else None):
+        raise GreyboxError(
+            "the courses are flown by vehicles", where=arguments.subject, got=f"the model {file.get('name')} of your own",
+            fix="greybox export, and a controller on its f_d as in docs/own_model.md",
+        )  # fmt: skip
     judged = gate(file, arguments.subject, even_so=arguments.even_so)
     if not judged.open:
         judged.say("mpc")

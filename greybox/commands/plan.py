@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.model_options import names, noise_levels, values
+from greybox.commands.own_model import loaded, model_file_option
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -17,6 +18,15 @@ def numbers(text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"expected numbers separated by commas, got '{text}'") from None
+
+
+def range_of(text: str) -> tuple[str, tuple[float, float]]:
+    """name=low,high."""
+    name, _, both = text.partition("=")
+    ends = numbers(both) if both else ()
+    if len(ends) != 2:
+        raise argparse.ArgumentTypeError(f"expected NAME=LOW,HIGH, got '{text}'")
+    return name, (ends[0], ends[1])
 
 
 def add(subparsers: Any) -> None:
@@ -30,6 +40,11 @@ def add(subparsers: Any) -> None:
         "but nothing will be known of some wanted parameter; 2: bad input.",
     )  # fmt: skip
     p.add_argument("--vehicle", metavar="V.toml", help="vehicle file")
+    model_file_option(p)
+    p.add_argument("--range", dest="ranges", nargs="+", type=range_of, default=[], metavar="u=LO,HI",
+                   help="of a model of your own: the range of every input")  # fmt: skip
+    p.add_argument("--limit", dest="limits", nargs="+", type=range_of, default=[], metavar="y=LO,HI",
+                   help="of a model of your own: what outputs must not leave")  # fmt: skip
     p.add_argument(
         "--model", metavar="MODEL.json", help="fitted model: its values, noise and covariance are what is known"
     )
@@ -83,10 +98,12 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.plan_report import plan_picture, plan_report
     from greybox.residual.files import load_model
 
+    if (own_model := _own_model(arguments)) is not None:
+        return _run_own(arguments, own_model)
     if arguments.vehicle is None and arguments.model is None:
         raise GreyboxError(
-            "nothing to plan for", expected="a vehicle file or a fitted model",
-            fix="--vehicle V.toml before the first flight, --model model.json after it",
+            "nothing to plan for", expected="a vehicle file, a fitted model or a model of your own",
+            fix="--vehicle V.toml before the first flight, --model model.json after it; --model-file own.py:build",
         )  # fmt: skip
     for option, given, length in (("--box", arguments.box, 3), ("--command", arguments.range, 2)):
         if given is not None and len(given) != length:
@@ -144,3 +161,46 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}")
     blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
     return 1 if blind else 0
+
+
+def _own_model(arguments: argparse.Namespace) -> Any:
+    """The model of the user's own that is planned for: a fitted one, or that of a program; None for a vehicle."""
+    from greybox.model.dynamics import StateSpaceModel
+    from greybox.model.own_model import load_own_model
+
+    if arguments.model:
+        fitted = loaded(arguments)
+        return fitted if isinstance(fitted.core, StateSpaceModel) else None
+    return load_own_model(arguments.model_file) if arguments.model_file else None
+
+
+def _run_own(arguments: argparse.Namespace, model: Any) -> int:
+    """Plan input signals for a model of the user's own. Returns as `run`."""
+    import numpy as np
+
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.planning.own_plan import plan_own
+    from greybox.planning.setpoints import csv
+
+    if arguments.vehicle or arguments.effects:
+        raise GreyboxError("a model of your own has no vehicle and no effects", fix="leave --vehicle and --for out")
+    found = plan_own(
+        model, dict(arguments.ranges), limits=dict(arguments.limits), seconds=arguments.seconds, piece=arguments.piece,
+        free=arguments.free, values=arguments.value, noise=arguments.noise,
+        sample_time=1 / arguments.rate if arguments.rate else None, seed=arguments.seed,
+    )  # fmt: skip
+    out = Path(arguments.out)
+    content = found.to_dict()
+    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["plan"] else "greybox plan"
+    segment = found.log.flights[0].segments[0]
+    write_atomic(out / "experiment_1.csv", csv({"t": np.asarray(segment.t), **segment.channels}))
+    write_json(out / "plan.json", content)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+    else:
+        if arguments.json:
+            write_json(arguments.json, content)
+        print(found.summary())
+        print(f"wrote plan.json and experiment_1.csv (inputs to play, outputs to expect) in {out}")
+    return 1 if found.blind else 0

@@ -6,8 +6,9 @@ import argparse
 import sys
 from typing import Any
 
-from greybox.commands.flight_logs import flight_log_options, read_flight_logs
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 from greybox.errors import DataError
 
 
@@ -35,26 +36,25 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--effects-file", nargs="+", default=[], metavar="E.py", help="Python files with the model's own effects"
     )
+    model_file_option(p)
     p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Validate and print. Returns 0, or 1 where the model is not usable."""
-    horizons = given_horizons(arguments)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
     from greybox.files import dump_json, write_json
-    from greybox.model.effects_file import load_effects
-    from greybox.residual.files import load_model
+    from greybox.model.layer import physics_of
     from greybox.validation.validate import validate
 
-    own = [e for path in arguments.effects_file for e in load_effects(path)]
-    model = load_model(arguments.model, effects=own)
-    dataset = read_flight_logs(
+    model = loaded(arguments)
+    horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
+    dataset = read_flights_of(
         arguments,
+        model.dynamics,
         arguments.log,
-        model.physics.vehicle,
         rate=arguments.rate or 1.0 / model.sample_time,
         trim=not arguments.keep_ground,
     )

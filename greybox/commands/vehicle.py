@@ -37,14 +37,15 @@ def add(subparsers: Any) -> None:
     kinds = parser.add_subparsers(dest="vehicle_command", required=True, metavar="new|check")
     new = kinds.add_parser(
         "new",
-        help="write a vehicle file from a template, from a log, or from answers on a terminal",
+        help="write a vehicle file from a template, a log, a simulator's file, or from answers on a terminal",
         description="Write a vehicle file. --from takes motor order, spins, arms and the hover command from a log of PX4, "
-        "Betaflight or a Crazyflie, and says what you must measure. Without --template and --from questions are asked on "
+        "Betaflight or a Crazyflie, and says what you must measure; or the whole craft from a simulator's file: SDF, "
+        "URDF, MJCF, RotorPy (.py), crazyflow (.toml), PX4 (.params). Without --template and --from questions are asked on "
         "the terminal. Templates: "
         + "; ".join(f"{k}: {v}" for k, v in TEMPLATES.items()) + ".",
     )  # fmt: skip
     new.add_argument("--template", metavar="NAME", help=", ".join(TEMPLATES))
-    new.add_argument("--from", metavar="LOG", dest="log", help="take what a log of the craft knows")
+    new.add_argument("--from", metavar="FILE", dest="log", help="take what a log or a simulator's file knows")
     new.add_argument("--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="changes",
                      help="change numbers: mass=0.5 arm=0.12 hover=0.45 thrust.c2.sigma=0.5 name=mine")  # fmt: skip
     new.add_argument("--out", metavar="V.toml", help="file to write (default: standard output)")
@@ -95,7 +96,13 @@ def run_new(arguments: argparse.Namespace) -> int:
 def _from_log(log: str, changes: dict[str, Any]) -> str:
     """The file from a log; says on standard error what the log knew and what must be measured."""
     from greybox.model.vehicle_from_log import vehicle_from_log
+    from greybox.simulators.sources import is_simulator_file, vehicle_from_simulator
 
+    if is_simulator_file(log):
+        text, craft = vehicle_from_simulator(log, changes)
+        for line in craft.to_measure:
+            print(f"to measure: {line}", file=sys.stderr)
+        return text
     found = vehicle_from_log(log, changes)
     for line in found.known:
         print(f"from the log: {line}", file=sys.stderr)

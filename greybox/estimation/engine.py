@@ -652,3 +652,20 @@ def engine_for(
             )
         )
     return shelf[key]
+
+
+def unfelt_place(dynamics: Dynamics) -> frozenset[str]:
+    """Coordinates of the position, of "x", "y" and "z", that no other state's step depends on: what
+    was identified in one corner of a room holds in the other."""
+    names = dynamics.states.names
+    with CASADI:
+        s = symbols(dynamics)
+        quiet = ca.DM.zeros(len(dynamics.noises))
+        after = dynamics.step(0, s["x"], s["U"], s["p"], quiet, s["dt"])
+        rest = after[[i for i, n in enumerate(names) if not n.startswith("position.")]]
+        return frozenset(
+            n.removeprefix("position.")
+            for i, n in enumerate(names)
+            if n in ("position.x", "position.y", "position.z")
+            and not ca.depends_on(rest, s["x"][i])
+        )

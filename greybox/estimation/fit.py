@@ -20,6 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
+from greybox.estimation.few_samples import demand_samples
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -82,6 +83,7 @@ def fit(
         options = options.but(noise=noise_of(first.model))
     with threadpool_limits(limits=1):
         problem = make_problem(dynamics, data, options)
+        demand_samples(problem)
         if first is not None:
             found = {
                 (u.name, u.flight): t

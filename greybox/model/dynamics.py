@@ -17,7 +17,7 @@ from typing import Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
-from greybox.errors import ModelError
+from greybox.errors import ModelError, UnknownNameError
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 
@@ -139,6 +139,20 @@ class StateSpaceModel:
         ):
             if value.numel() != size:
                 raise ModelError(f"{self.name}: {what} returns {value.numel()} values", expected=f"{size}")
+        felt = ca.vertcat(self.f(0, x, u, p), self.h(0, x, u, p))
+        idle = [d.name for i, d in enumerate(self.parameters) if not any(ca.which_depends(felt, p[i], 1, False))]
+        if idle:
+            raise ModelError(
+                f"{self.name}: nothing depends on the parameter {', '.join(idle)}", expected="use in dynamics or "
+                "measurement", fix="use it there, or take its declaration out",
+            )  # fmt: skip
+        for what, given, known in (
+            ("noise_states", self.noise_states, self.states), ("initial", self.initial, self.states),
+            ("initial_sigma", self.initial_sigma, self.states), ("sensor_sigma", self.sensor_sigma, self.outputs),
+        ):  # fmt: skip
+            for name in given or ():
+                if name not in known:
+                    raise UnknownNameError(f"{self.name}: {what}, name", name, known.names)
 
     def _named(self, p: Expr) -> dict[str, Expr]:
         return {d.name: p[i] for i, d in enumerate(self.parameters)}

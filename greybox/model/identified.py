@@ -1,8 +1,9 @@
 """IdentifiedModel: what a fit leaves behind. Everything that validation, export and control need,
 and no raw data.
 
-On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors, noise and settings
-from which the CasADi expressions are rebuilt exactly, estimates with covariance, noise levels, training
+On disk it is one JSON file (schema "greybox.model/1"): vehicle, effects, sensors and settings (of a
+model of the user's own, its equations) and noise, from which the CasADi expressions are rebuilt
+exactly, estimates with covariance, noise levels, training
 domain, data hash and a checksum.
 """
 
@@ -21,12 +22,13 @@ import numpy as np
 from greybox.distribution import VERSION
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_json
-from greybox.model.dynamics import Dynamics
+from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import Augmented, Disturbance, NoisePart, noise_part, with_parts
+from greybox.model.own_model import own_from_dict, own_to_dict
 from greybox.model.parameter import ParameterValues
 from greybox.model.sensor import Sensor
 from greybox.model.sensors import SENSORS
@@ -36,6 +38,8 @@ from greybox.shown import Cell, Shown
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.model/1"
+KINDS = ("physics", "own")
+"""The model of a vehicle, and one of the user's own equations."""
 SHORTEST_SAMPLE = 1e-5
 """Sample time [s] below which a file is refused: a step sees as many commands as fit into the
 longest delay."""
@@ -173,25 +177,18 @@ class IdentifiedModel(Shown):
         parts = () if augmented is None else augmented.parts
         if physics is not self.core:
             raise ModelError("a model with a learned part is saved by save_model", got=self.name)
-        if not isinstance(physics, PhysicsModel):
+        if not isinstance(physics, (PhysicsModel, StateSpaceModel)):
             raise ModelError(
-                "only models made of catalogue parts can be saved",
+                "only vehicles and models of the user's own (StateSpaceModel) can be saved",
                 got=type(physics).__name__,
-                fix="keep the Python code of a model of your own and save its values",
+                fix="write it as a StateSpaceModel, or keep its Python code and save its values",
             )
         body = {
             "schema": SCHEMA,
-            "kind": "physics",
+            "kind": "own" if isinstance(physics, StateSpaceModel) else "physics",
             "name": self.name,
-            "vehicle": physics.vehicle.to_dict(),
-            "effects": [e.name for e in physics.effects],
-            **({"own_effects": own} if (own := own_effects(physics.effects)) else {}),
-            "sensors": [s.name for s in physics.sensors],
-            "input": physics.input,
-            "model_sample_time": physics.sample_time,
-            "kinematic_noise": physics.kinematic_noise,
+            **_core_to_dict(physics),
             "noise_parts": [p.to_dict() for p in parts],
-            "omega_known": physics.omega_known,
             "sample_time": self.sample_time,
             "values": dict(self.values),
             "units": {d.name: d.unit for d in self.dynamics.parameters},
@@ -256,9 +253,12 @@ class IdentifiedModel(Shown):
             raise FileFormatError(
                 "a model with a learned part", where=where, fix="read it with greybox.load_model"
             )
-        if data.get("kind") != "physics":
+        if data.get("kind") not in KINDS:
             raise FileFormatError(
-                "unknown kind of model", where=where, expected="physics", got=repr(data.get("kind"))
+                "unknown kind of model",
+                where=where,
+                expected=" or ".join(KINDS),
+                got=repr(data.get("kind")),
             )
         body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
         if checksum(body) != data.get("checksum"):
@@ -268,23 +268,12 @@ class IdentifiedModel(Shown):
                 fix="the file was edited or cut off; write it again",
             )
         try:
-            for key in ("sample_time", "model_sample_time"):
-                if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
-                    raise ValueError(f"{key} is {float(data[key]):g} s")
-            vehicle = Vehicle.from_dict(data["vehicle"], where=where)
-            known = {s.name: s for s in (*SENSORS, *sensors)}
-            if missing := [str(n) for n in data["sensors"] if n not in known]:
-                raise UnknownNameError("sensor", missing[0], known, where=where)
-            dynamics: Dynamics = PhysicsModel(
-                vehicle=vehicle,
-                effects=effects_of(
-                    data["effects"], data.get("own_effects", {}), effects, where=where
-                ),
-                sensors=tuple(known[n] for n in data["sensors"]),
-                input=data["input"],
-                sample_time=float(data["model_sample_time"]),
-                kinematic_noise=bool(data.get("kinematic_noise", False)),
-            )
+            _demand_sample(data, "sample_time")
+            dynamics: Dynamics
+            if data["kind"] == "own":
+                dynamics = own_from_dict(data["own"], where=where)
+            else:
+                dynamics = _physics_from_dict(data, effects, sensors, where)
             dynamics = with_parts(dynamics, _noise_parts(data))
             model = IdentifiedModel(
                 dynamics=dynamics,
@@ -335,6 +324,45 @@ class IdentifiedModel(Shown):
                 f"incomplete or wrong ({error})", where=where, fix="write the file again"
             ) from None
         return model
+
+
+def _demand_sample(data: Mapping[str, Any], key: str) -> None:
+    if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
+        raise ValueError(f"{key} is {float(data[key]):g} s")
+
+
+def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Any]:
+    """What the innermost model is built from."""
+    if isinstance(core, StateSpaceModel):
+        return {"own": own_to_dict(core)}
+    return {
+        "vehicle": core.vehicle.to_dict(),
+        "effects": [e.name for e in core.effects],
+        **({"own_effects": own} if (own := own_effects(core.effects)) else {}),
+        "sensors": [s.name for s in core.sensors],
+        "input": core.input,
+        "model_sample_time": core.sample_time,
+        "kinematic_noise": core.kinematic_noise,
+        "omega_known": core.omega_known,
+    }
+
+
+def _physics_from_dict(
+    data: Mapping[str, Any], effects: Iterable[Effect], sensors: Iterable[Sensor], where: str
+) -> PhysicsModel:
+    """The model of a vehicle that a file describes; `effects` and `sensors` as in `load`."""
+    _demand_sample(data, "model_sample_time")
+    known = {s.name: s for s in (*SENSORS, *sensors)}
+    if missing := [str(n) for n in data["sensors"] if n not in known]:
+        raise UnknownNameError("sensor", missing[0], known, where=where)
+    return PhysicsModel(
+        vehicle=Vehicle.from_dict(data["vehicle"], where=where),
+        effects=effects_of(data["effects"], data.get("own_effects", {}), effects, where=where),
+        sensors=tuple(known[n] for n in data["sensors"]),
+        input=data["input"],
+        sample_time=float(data["model_sample_time"]),
+        kinematic_noise=bool(data.get("kinematic_noise", False)),
+    )
 
 
 def _noise_parts(data: Mapping[str, Any]) -> list[NoisePart]:

@@ -88,6 +88,9 @@ class TomlTable:
         value = self.get(key, default)
         if not isinstance(value, str):
             raise self.error(key, "a text is needed here", got=describe(value), fix="put it in quotes")
+        if not value.isprintable():
+            # it is printed, and written into pages, C and build files
+            raise self.error(key, "a text on one line, without control characters, is needed here", got=repr(value)[:80])
         return value
 
     def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:

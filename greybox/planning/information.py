@@ -22,7 +22,7 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.identifiability import marginal_information
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
-from greybox.planning.subject import Subject
+from greybox.planning.subject import Estimated, Subject
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
@@ -41,7 +41,7 @@ class Information:
         return Information(names=self.names, matrix=self.matrix + other.matrix)
 
 
-def information(subject: Subject, data: Dataset) -> Information:
+def information(subject: Estimated, data: Dataset) -> Information:
     """Information of noise-free flights; a per-flight parameter counts as shared, as within one flight.
 
     Raises `FitError` where the predictor's numbers are not finite along the flight.
@@ -64,7 +64,7 @@ def information(subject: Subject, data: Dataset) -> Information:
     )
 
 
-def prior(subject: Subject, names: Sequence[str]) -> FloatArray:
+def prior(subject: Estimated, names: Sequence[str]) -> FloatArray:
     """What is known before, over `names` (m, m); nothing is known of the noise levels."""
     out = np.zeros((len(names), len(names)))
     places = [list(names).index(n) for n in subject.free]
@@ -72,7 +72,7 @@ def prior(subject: Subject, names: Sequence[str]) -> FloatArray:
     return out
 
 
-def errors(subject: Subject, found: Information) -> dict[str, tuple[float, float]]:
+def errors(subject: Estimated, found: Information) -> dict[str, tuple[float, float]]:
     """Expected standard error of every free parameter: (with what is known before, from the flights alone).
 
     Infinite where nothing is said (more than a million times the size of a typical change counts as nothing).
@@ -99,7 +99,7 @@ class Score:
     `known` False leaves out what is known before.
     """
 
-    def __init__(self, subject: Subject, names: Sequence[str], *, known: bool = True) -> None:
+    def __init__(self, subject: Estimated, names: Sequence[str], *, known: bool = True) -> None:
         declared = subject.declared
         self.scale = np.array([declared[n].scale if n in declared else 1.0 for n in names])
         self.before = np.diag((1e-2 / self.scale) ** 2) + (prior(subject, names) if known else 0.0)
@@ -143,7 +143,7 @@ def choose(candidates: Mapping[str, Information], count: int, score: Score) -> l
     return sorted(chosen, key=order.__getitem__)
 
 
-def efficiency(subject: Subject, better: Information, other: Information) -> float:
+def efficiency(subject: Estimated, better: Information, other: Information) -> float:
     """How many times as long the `other` flight would have to last for the same volume of the confidence region.
 
     (det ratio)^(1/k) of the information that the flights alone give about the k wanted parameters.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from greybox.errors import GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import noise_of
+from greybox.model.dynamics import Dynamics
 from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
@@ -20,6 +22,38 @@ from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
 
 DEFAULT_SENSORS = ("position", "attitude", "gyro", "accelerometer")
+
+
+class Estimated(Protocol):
+    """What the information about parameters asks of a subject."""
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """What will be fitted."""
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters to estimate."""
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Of these the ones that the plan is for."""
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Parameter values that are taken for true."""
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """Noise levels by name."""
+
+    @property
+    def precision(self) -> FloatArray:
+        """What is known of `free` before (k, k)."""
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """Declarations by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +163,7 @@ def subject(
         groups={e: inside for e, ns in groups.items() if (inside := tuple(n for n in ns if n in names))},
         values=numbers,
         noise=_noise(physics, model, noise),
-        precision=_precision(declared, names, model),
+        precision=precision_of(declared, names, model),
         sample_time=dt,
     )
 
@@ -198,7 +232,7 @@ def _noise(physics: PhysicsModel, model: IdentifiedModel | None, given: Mapping[
     return {n: v for n, v in levels.items() if n in here} | dict(given or {})
 
 
-def _precision(declared: Mapping[str, Parameter], names: tuple[str, ...], model: IdentifiedModel | None) -> FloatArray:
+def precision_of(declared: Mapping[str, Parameter], names: tuple[str, ...], model: IdentifiedModel | None) -> FloatArray:
     """What is known before: the priors of the vehicle file, or the covariance of the fitted model."""
     sigma = np.array([declared[n].sigma for n in names])
     out = np.diag([s**-2 if 0 < s < np.inf else 0.0 for s in sigma])

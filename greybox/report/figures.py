@@ -229,3 +229,20 @@ def heat_map(names: Sequence[str], matrix: npt.ArrayLike) -> Figure:
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     return figure
+
+
+def rise(
+    x: npt.ArrayLike, y: npt.ArrayLike, *, limit: float, marks: Sequence[float], label: str, unit: str, title: str
+) -> Figure:
+    """A curve y (N,) over x (N,) with its points, a level `limit`, and upright `marks`; the part far above is cut off."""
+    figure, axes = _panel()
+    at, values = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    axes.plot(at, values, color=SERIES[0], marker="o", markersize=3, linewidth=1.2)
+    axes.axhline(limit, color=MUTED, linestyle="--", linewidth=0.9)
+    for mark in marks:
+        axes.axvline(mark, color=SERIES[1], linestyle=":", linewidth=1.1)
+    axes.set_ylim(0.0, max(2.5 * limit, min(float(values.max()), 4 * limit)))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_formatter(_SHORT)
+    _label(axes, x=f"{title} [{unit}]", y=label, title=title)
+    return figure

@@ -22,6 +22,7 @@ from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.smoothing import smooth
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.residual.features import feature_layout, features
 from greybox.symbolic import FloatArray, Layout, evaluate
@@ -54,18 +55,22 @@ def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:
 
 
 def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
-    """`model` with disturbance states for force and torque whose levels and time constants are fitted to `data`.
+    """`model` with disturbance states whose levels and time constants are fitted to `data`: for force and torque, of a
+    model of the user's own for every group of its process noise.
 
     A model that has disturbance states already is returned as it is. Shared physical parameters keep their estimates and
-    covariance; per-flight ones are fitted along. Raises `ModelError` for a model whose noises are neither.
+    covariance; per-flight ones are fitted along. Raises `ModelError` for a vehicle whose noises are neither, and for a
+    model without process noise.
     """
     if disturbances(model.dynamics):
         return model
-    groups = tuple(g for g in GROUPS if any(n.startswith(g + ".") for n in model.dynamics.noises.names))
+    heads = tuple(dict.fromkeys(n.split(".")[0] for n in model.dynamics.noises.names))
+    groups = tuple(g for g in GROUPS if g in heads) if physics_of(model.dynamics) is not None else heads
     if not groups:
         raise ModelError(
-            "the model has no force or torque noise that a disturbance could enter by",
-            got=", ".join(model.dynamics.noises.names),
+            "the model has no process noise that a disturbance could enter by",
+            got=", ".join(model.dynamics.noises.names) or "no process noise",
+            fix="force or torque of a vehicle; noise_states of a model of your own",
         )
     own = tuple(n for n in model.flight_spread)
     result = fit(

@@ -21,6 +21,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.model.layer import physics_of
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
@@ -29,7 +30,7 @@ from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
-from greybox.residual.train import train_gp
+from greybox.residual.train import check_extra, train_gp
 from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
@@ -122,8 +123,14 @@ class Learned(Shown):
 
 def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tuple[str, ...]]:
     """Sets of features to try, by name: body velocity, motion, motion with the direction of gravity, with the rotors; on
-    request the `place` alone and with the motion. Raises `ModelError` for the place where no position is measured."""
+    request the `place` alone and with the motion. Of a model that is not a vehicle's: its states, and states with inputs.
+    Raises `ModelError` for the place where no position is measured."""
     full = default_features(model.dynamics)
+    if physics_of(model.dynamics) is None:
+        if place:
+            raise ModelError("the place is a feature of vehicles", got=model.name, fix="leave place out")
+        states = tuple(n for n in full if n not in model.dynamics.inputs)
+        return {"states": states, "states and inputs": full} if len(model.dynamics.inputs) else {"states": states}
     motion = tuple(n for n in full if n.startswith("body_velocity.") or n in ("p", "q", "r"))
     sets = {"velocity": tuple(n for n in motion if n.startswith("body_velocity."))}
     sets |= {"motion": motion, "motion and rotors": full}
@@ -170,6 +177,7 @@ def learn(
         for n in features:
             if n not in there:
                 raise UnknownNameError("feature", n, there)
+    check_extra()
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)

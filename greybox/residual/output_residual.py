@@ -34,6 +34,7 @@ from greybox.model.linear import LinearModel
 from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor
 from greybox.residual.decoupled import Terms, combined
 from greybox.residual.features import default_features
+from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.regressors import segments_of
@@ -224,8 +225,9 @@ def fit_output_residual(
     (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`. Raises `DataError`, `UnknownNameError`,
     `ModelError`, and `MissingExtraError` without the extra `gp`.
     """
-    from greybox.residual.train import train_gp
+    from greybox.residual.train import check_extra, train_gp
 
+    check_extra()
     began = time.perf_counter()
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
     if isinstance(model, BasePredictor):
@@ -246,9 +248,22 @@ def fit_output_residual(
         groups=flights, progress=progress,
     )  # fmt: skip
     settings = {"features": list(names), "kernel": options.kernel, "points": options.points}
+    _, numbers = np.unique(flights, return_inverse=True)
+    own = np.diag(base.gain[1])[base.rows]
+    posterior, scores = judged_on_left_out(trained.posterior, z, r, numbers, own)
+    training = trained.report.to_dict()
+    training["left_out"] = dict(zip(base.outputs, scores, strict=True))
+    training["warnings"] = [
+        *training["warnings"],
+        *(
+            f"{n}: left-out flights do not prefer the GP to the model alone, which stays as it was"
+            for n, before, after in zip(base.outputs, trained.posterior.active, posterior.active, strict=True)
+            if before and not after
+        ),
+    ]
     return OutputHybrid(
-        base=base, posterior=with_measured_noise(trained.posterior, z, r), train_seconds=time.perf_counter() - began,
-        report={"settings": settings, "seed": options.seed, "samples": len(z), "training": trained.report.to_dict()},
+        base=base, posterior=posterior, train_seconds=time.perf_counter() - began,
+        report={"settings": settings, "seed": options.seed, "samples": len(z), "training": training},
     )  # fmt: skip
 
 
@@ -263,7 +278,9 @@ def read_linear(
     where = str(path)
     data = read_json(path)
     if data.get("schema") not in LINEAR_SCHEMAS:
-        raise FileFormatError("not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS))
+        raise FileFormatError(
+            "not a linear model", where=where, expected=" or ".join(LINEAR_SCHEMAS), got=repr(data.get("schema"))
+        )
     parts = data["models"] if data["schema"] == LINEAR_SCHEMAS[1] else [data]
     models = tuple(LinearModel.from_dict(m, where=where) for m in parts)
     told = {s.name: s for s in parse_channels(channels or "", "inputs")}

@@ -7,6 +7,7 @@ has to beat a constant, and the number of support points can be chosen there. Py
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -40,13 +41,25 @@ REACH = 1.5
 POLISH_SAMPLES = 2000
 
 
+def check_extra() -> None:
+    """Whether a GP can be trained here: asked before hours of other work, and without importing
+    torch. Raises `MissingExtraError`."""
+    missing = [n for n in ("torch", "gpytorch") if importlib.util.find_spec(n) is None]
+    if missing:
+        raise _missing(f"no {' and no '.join(missing)}")
+
+
+def _missing(why: object) -> MissingExtraError:
+    return MissingExtraError(
+        f"training a GP needs PyTorch and GPyTorch ({why})", fix=install_line("gp")
+    )
+
+
 def _torch() -> Any:
     try:
         from greybox.residual import torch_gp
     except ImportError as error:
-        raise MissingExtraError(
-            f"training a GP needs PyTorch and GPyTorch ({error})", fix=install_line("gp")
-        ) from None
+        raise _missing(error) from None
     return torch_gp
 
 

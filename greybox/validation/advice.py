@@ -46,6 +46,7 @@ class Symptom(enum.Enum):
     ROTATION = "rotation-worse-than-the-last-value"
     RATE = "rate-worse-than-the-last-value"
     SPECIFIC_FORCE = "specific-force-worse-than-the-last-value"
+    OWN_OUTPUT = "an-output-of-your-own-model"
 
     @property
     def anchor(self) -> str:
@@ -151,6 +152,11 @@ ADVICE: tuple[Advice, ...] = (
         symptom=Symptom.NO_BETTER,
         reason="the commands hardly matter in this model",
         action="greybox check (motor order, excitation), then greybox discover",
+    ),
+    Advice(
+        symptom=Symptom.OWN_OUTPUT,
+        reason="something that moves this output is missing in the model",
+        action="look at its errors in report.html, add the term to the model's program, or greybox learn",
     ),
 )
 """Causes before consequences: a log that lies spoils everything, a missing lag sends parameters to their bounds, bounds

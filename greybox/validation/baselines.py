@@ -18,7 +18,7 @@ import numpy.typing as npt
 from greybox.errors import DataError
 from greybox.frames import GRAVITY, numeric, quat_exp, quat_multiply, quat_normalize, rotation_matrix
 from greybox.symbolic import FloatArray, evaluate
-from greybox.validation.groups import error_vectors, group
+from greybox.validation.groups import error_vectors
 from greybox.validation.samples import columns, complete_rows
 
 IntArray = npt.NDArray[np.int64]
@@ -33,7 +33,6 @@ def persistence(references: Mapping[str, FloatArray], origins: npt.ArrayLike, *,
     starts = np.asarray(origins, dtype=np.int64).ravel()
     held = {}
     for name, reference in references.items():
-        group(name)
         seen = np.isfinite(reference).all(axis=1)
         last = np.maximum.accumulate(np.where(seen, np.arange(len(reference)), -1))[starts]
         value = np.where(last[:, None] >= 0, reference[last], np.nan)

@@ -6,12 +6,15 @@ rotation the geodesic angle between predicted and measured attitude.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.errors import DataError, UnknownNameError
 from greybox.frames import numeric
+from greybox.model.dynamics import Dynamics
+from greybox.model.layer import physics_of
 from greybox.model.sensors import USUAL
 from greybox.symbolic import FloatArray
 
@@ -21,12 +24,14 @@ class Group:
     """A vector quantity: `columns` of the data, `dimension` of its values, unit of its error.
 
     `error_dimension` is that of its covariance: 3 for the rotation, whose error is a rotation vector in body axes.
+    `own`: an output of a model of the user's own, of which nothing is known but its name and unit.
     """
 
     name: str
     unit: str
     columns: tuple[str, ...]
     error_dimension: int = 3
+    own: bool = False
 
     @property
     def dimension(self) -> int:
@@ -48,6 +53,25 @@ GROUPS = {
 """The groups of the usual sensors by name, in the order of the tables."""
 
 
+Groups = Mapping[str, Group]
+
+
+def groups_of(dynamics: Dynamics) -> Groups:
+    """The groups that a model is judged in: of a vehicle `GROUPS`; of any other model the groups whose columns it has
+    all, and every other output as a group of its own."""
+    if physics_of(dynamics) is not None:
+        return GROUPS
+    names = set(dynamics.outputs.names)
+    usual = {n: g for n, g in GROUPS.items() if names.issuperset(g.columns)}
+    taken = {c for g in usual.values() for c in g.columns}
+    own = {
+        s.name: Group(name=s.name, unit=s.unit, columns=(s.name,), error_dimension=1, own=True)
+        for s in dynamics.outputs
+        if s.name not in taken
+    }
+    return {**usual, **own}
+
+
 def group(name: str) -> Group:
     """The group of that name. Raises `UnknownNameError`."""
     try:
@@ -67,13 +91,15 @@ def _check_quaternions(q: FloatArray, what: str) -> None:
         )
 
 
-def error_vectors(name: str, predicted: FloatArray, reference: FloatArray) -> FloatArray:
-    """reference - predicted, (..., 3); for the rotation the rotation vector [rad] from predicted to reference.
+def error_vectors(which: str | Group, predicted: FloatArray, reference: FloatArray) -> FloatArray:
+    """reference - predicted, (..., error dimension); for the rotation the rotation vector [rad] from predicted to reference.
 
-    `predicted`, `reference`: (..., dimension); a row with NaN or infinity gives NaN. q and -q are the same attitude.
-    Raises `DataError` for quaternions that are not of unit norm, `UnknownNameError` for an unknown group.
+    `which` is a group or the name of a usual one. `predicted`, `reference`: (..., dimension); a row with NaN or infinity
+    gives NaN. q and -q are the same attitude. Raises `DataError` for quaternions that are not of unit norm,
+    `UnknownNameError` for an unknown group.
     """
-    if group(name).name != "rotation":
+    kind = group(which) if isinstance(which, str) else which
+    if kind.dimension == kind.error_dimension:
         with np.errstate(invalid="ignore"):
             error: FloatArray = reference - predicted
         error[~np.isfinite(error).all(axis=-1)] = np.nan

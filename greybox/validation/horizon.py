@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
-from greybox.errors import DataError
+from greybox.errors import DataError, UnknownNameError
 from greybox.symbolic import FloatArray
 from greybox.validation.coverage import mahalanobis_squared
-from greybox.validation.groups import GROUPS, error_vectors, group
+from greybox.validation.groups import GROUPS, Group, Groups, error_vectors
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
 from greybox.validation.predictive import LEVELS, gaussian_nlpd
 from greybox.validation.samples import complete_rows
@@ -98,7 +98,8 @@ class HorizonAccumulator:
     `steps` H is the longest horizon, `required` the steps that an origin must have (SimErr sums over these); horizons
     beyond `required` are pooled over the origins that reach that far. `missing="origin"` drops an origin from a group
     where any reference sample of k..k+required is missing; `"step"` drops only the missing samples (for references that
-    are sampled more slowly than the model).
+    are sampled more slowly than the model). `groups` are those that predictions may have; `block_seconds` [s] is the
+    length of the blocks that standard errors are made of.
     """
 
     label: str
@@ -106,6 +107,8 @@ class HorizonAccumulator:
     steps: int = REQUIRED
     required: int = REQUIRED
     missing: str = "origin"
+    groups: Groups = field(default_factory=lambda: GROUPS)
+    block_seconds: float = BLOCK_SECONDS
     _flights: dict[str, dict[str, _Sums]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -126,7 +129,7 @@ class HorizonAccumulator:
         """Add one stretch without gap.
 
         `references[group]` (N, dimension), NaN = missing; `origins` (n,) indices into it; `predictions[group]`
-        (n, H, dimension) with [:, h - 1] the prediction of sample origin + h; `covariances[group]` (n, H, 3, 3) of the
+        (n, H, dimension) with [:, h - 1] the prediction of sample origin + h; `covariances[group]` (n, H, d, d) of the
         prediction error including the reference's own noise (rotation: body axes), NaN where none is stated: those
         samples take no part in coverage and density. Groups without reference are
         omitted. A prediction that is not finite counts as diverged: its error is infinite. Raises `DataError` for
@@ -135,10 +138,11 @@ class HorizonAccumulator:
         starts = np.asarray(origins, dtype=np.int64).ravel()
         sums = self._flights.setdefault(flight, {})
         for name in predictions:
-            group(name)
-        for name in (g for g in GROUPS if g in predictions and g in references):
+            if name not in self.groups:
+                raise UnknownNameError("channel group", name, self.groups)
+        for name in (g for g in self.groups if g in predictions and g in references):
             reference, predicted = np.asarray(references[name]), np.asarray(predictions[name])
-            expected = (len(starts), self.steps, GROUPS[name].dimension)
+            expected = (len(starts), self.steps, self.groups[name].dimension)
             if predicted.shape != expected or reference.ndim != 2 or reference.shape[1] != expected[2]:
                 raise DataError(
                     f"{flight}, {name}: arrays do not match",
@@ -161,7 +165,7 @@ class HorizonAccumulator:
             if not keep.any():
                 continue
             covariance = None if covariances is None or name not in covariances else covariances[name][keep]
-            self._sum(own, name, predicted[keep], reference, starts[keep], covariance)
+            self._sum(own, self.groups[name], predicted[keep], reference, starts[keep], covariance)
 
     def _usable(self, present: npt.NDArray[np.bool_], starts: IntArray) -> npt.NDArray[np.bool_]:
         """Which origins count: the same ones for every predictor, so that rows of a table compare."""
@@ -172,7 +176,7 @@ class HorizonAccumulator:
     def _sum(
         self,
         own: _Sums,
-        name: str,
+        kind: Group,
         predicted: FloatArray,
         reference: FloatArray,
         starts: IntArray,
@@ -182,7 +186,7 @@ class HorizonAccumulator:
         inside = index < len(reference)
         target = np.where(inside[..., None], reference[np.minimum(index, len(reference) - 1)], np.nan)
         wanted = np.isfinite(target).all(axis=2)
-        errors = error_vectors(name, predicted, target)
+        errors = error_vectors(kind, predicted, target)
         norms = np.linalg.norm(errors, axis=2)
         diverged = wanted & ~np.isfinite(norms)
         norms = np.where(diverged, np.inf, np.where(wanted, norms, 0.0))
@@ -190,7 +194,7 @@ class HorizonAccumulator:
         own.diverged += diverged.sum(axis=0)
         own.absolute += norms.sum(axis=0)
         own.square += (norms * norms).sum(axis=0)
-        length = max(1, round(BLOCK_SECONDS / self.sample_time))
+        length = max(1, round(self.block_seconds / self.sample_time))
         edges = np.flatnonzero(np.diff(starts // length)) + 1
         for part, seen in zip(np.split(norms, edges), np.split(wanted, edges), strict=True):
             own.blocks.append((part.sum(axis=0), seen.sum(axis=0).astype(np.float64)))
@@ -203,7 +207,7 @@ class HorizonAccumulator:
             own.judged += stated.sum(axis=0)
             own.density += density.sum(axis=0)
             for level in LEVELS:
-                limit = scipy.stats.chi2.ppf(level, GROUPS[name].error_dimension)
+                limit = scipy.stats.chi2.ppf(level, kind.error_dimension)
                 own.covered[level] += (stated & (distance <= limit)).sum(axis=0)
 
     def table(self) -> HorizonTable:
@@ -217,7 +221,7 @@ class HorizonAccumulator:
                 fix="a longer flight, fewer adaptation seconds, or a finer look at what was logged",
             )
         pooled: dict[str, GroupErrors] = {}
-        for g in GROUPS:
+        for g in self.groups:
             parts: Sequence[_Sums] = [f[g] for f in self._flights.values() if g in f and f[g].origins]
             if parts:
                 pooled[g] = _finish(parts)
@@ -228,7 +232,8 @@ class HorizonAccumulator:
             required=self.required,
             groups=pooled,
             flights=flights,
-            unjudged=tuple(g for g in GROUPS if g in measured and g not in pooled),
+            unjudged=tuple(g for g in self.groups if g in measured and g not in pooled),
+            kinds=self.groups,
         )
 
 

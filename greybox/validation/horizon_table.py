@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from greybox.errors import DataError
 from greybox.symbolic import FloatArray
-from greybox.validation.groups import GROUPS
+from greybox.validation.groups import GROUPS, Groups
 
 IntArray = npt.NDArray[np.int64]
 
@@ -45,7 +45,8 @@ class GroupErrors:
 class HorizonTable:
     """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them.
 
-    `unjudged` groups were measured, but no origin had the references that it needs.
+    `unjudged` groups were measured, but no origin had the references that it needs. `kinds` says of every group its unit
+    and columns.
     """
 
     label: str
@@ -54,6 +55,7 @@ class HorizonTable:
     groups: Mapping[str, GroupErrors]
     flights: Mapping[str, Mapping[str, GroupErrors]] = field(default_factory=dict)
     unjudged: tuple[str, ...] = ()
+    kinds: Groups = field(default_factory=lambda: GROUPS)
 
     @property
     def steps(self) -> int:
@@ -74,7 +76,7 @@ class HorizonTable:
             {
                 "h": int(h),
                 "seconds": float(f"{h * self.sample_time:.9g}"),
-                "groups": {g: _cell(g, e, h - 1) for g, e in groups.items() if e.n[h - 1] > 0},
+                "groups": {g: _cell(self.kinds[g].unit, e, h - 1) for g, e in groups.items() if e.n[h - 1] > 0},
             }
             for h in horizons
         ]
@@ -114,11 +116,11 @@ class HorizonTable:
         return format_tables([self, *others], horizons)
 
 
-def _cell(name: str, errors: GroupErrors, i: int) -> dict[str, Any]:
+def _cell(unit: str, errors: GroupErrors, i: int) -> dict[str, Any]:
     cell: dict[str, Any] = {
         "mae": float(errors.mae[i]),
         "rmse": float(errors.rmse[i]),
-        "unit": GROUPS[name].unit,
+        "unit": unit,
         "n": int(errors.n[i]),
     }
     if errors.diverged[i]:
@@ -142,7 +144,7 @@ def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None
     for g in tables[0].groups:
         head = "".join(f"{f'{h * tables[0].sample_time:.3g} s':>10}" for h in wanted)
         steps = "".join(f"{f'h={h}':>10}" for h in wanted)
-        lines.append(f"{g} [{GROUPS[g].unit}], mean absolute error")
+        lines.append(f"{g} [{tables[0].kinds[g].unit}], mean absolute error")
         lines.append(f"  {'':<{width}}{head}{'SimErr':>10}")
         lines.append(f"  {'':<{width}}{steps}")
         for t in tables:

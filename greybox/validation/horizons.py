@@ -14,6 +14,8 @@ from greybox.errors import DataError
 HORIZONS = (0.01, 0.1, 0.5, 1.0)
 """Seconds ahead that are listed unless others are asked for: one sample at 100 Hz, the time in which rotors answer, the
 look-ahead of a position controller, and twice that."""
+SAMPLES = (1, 10, 50, 100)
+"""Samples ahead that are listed of a model that is not a vehicle's: its time scale is its own."""
 LONGEST = 10.0
 """Seconds [s] beyond which a horizon is refused: nobody predicts a multirotor open loop so far, and a number of samples
 given where seconds are expected is caught."""
@@ -32,12 +34,13 @@ def horizons_of(
     *,
     samples: Sequence[int] | None = None,
     sample_time: float,
+    longest: float = LONGEST,
 ) -> Horizons:
     """Horizons in samples of `sample_time` [s] from `seconds`, or `samples` themselves where they are given.
 
     A time is rounded to the nearest sample; one below a sample becomes one sample, which is noted where it was asked for
     (tables show the time of each column). Raises `DataError` for
-    no horizon, a horizon that is not positive, beyond `LONGEST` seconds, or a number of samples that is not whole.
+    no horizon, a horizon that is not positive, beyond `longest` seconds, or a number of samples that is not whole.
     """
     if samples is not None:
         if not samples or any(int(h) != h or h < 1 for h in samples):
@@ -47,10 +50,10 @@ def horizons_of(
                 got=str(list(samples)),
             )
         return Horizons(steps=tuple(sorted({int(h) for h in samples})))
-    if not seconds or not all(0 < s <= LONGEST for s in seconds):
+    if not seconds or not all(0 < s <= longest for s in seconds):
         raise DataError(
             "horizons must be times ahead",
-            expected=f"seconds above 0, at most {LONGEST:g}",
+            expected=f"seconds above 0, at most {longest:g}",
             got=str([float(s) for s in seconds]),
             fix="0.1, 0.5, 1; numbers of samples are given as such (horizon_samples, --horizons-samples)",
         )
@@ -67,16 +70,16 @@ def horizons_of(
     return Horizons(steps=steps, notes=tuple(notes))
 
 
-def parse_seconds(text: str, option: str = "--horizons") -> tuple[float, ...]:
+def parse_seconds(text: str, option: str = "--horizons", longest: float = LONGEST) -> tuple[float, ...]:
     """Times [s] from "0.1,0.5,1". Raises `DataError`."""
     try:
         values = tuple(float(part) for part in text.split(",") if part.strip())
     except ValueError:
         values = ()
-    if not values or not all(0 < v <= LONGEST for v in values):
+    if not values or not all(0 < v <= longest for v in values):
         raise DataError(
             option,
-            expected=f"horizons in seconds up to {LONGEST:g}, such as 0.1,0.5,1",
+            expected=f"horizons in seconds up to {longest:g}, such as 0.1,0.5,1",
             got=repr(text),
             fix="numbers of samples are given to --horizons-samples",
         )

@@ -24,7 +24,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, evaluate
-from greybox.validation.groups import GROUPS
+from greybox.validation.groups import GROUPS, groups_of
 
 IntArray = npt.NDArray[np.int64]
 POSE = ("position", "velocity", "rotation")
@@ -35,9 +35,10 @@ class GroupReader:
 
     def __init__(self, model: IdentifiedModel) -> None:
         outputs = model.dynamics.outputs
+        self.table = groups_of(model.dynamics)
         self._states = model.dynamics.states.names
         self._columns = {
-            name: [outputs[c] for c in g.columns] for name, g in GROUPS.items() if all(c in outputs for c in g.columns)
+            name: [outputs[c] for c in g.columns] for name, g in self.table.items() if all(c in outputs for c in g.columns)
         }
         self._velocity = None if "velocity" in self._columns else _velocity_reading(model)
 
@@ -45,13 +46,14 @@ class GroupReader:
     def groups(self) -> tuple[str, ...]:
         """Names of the groups that the model predicts, in the order of the tables."""
         own = {*self._columns, *(() if self._velocity is None else ("velocity",))}
-        return tuple(g for g in GROUPS if g in own)
+        return tuple(g for g in self.table if g in own)
 
     def judged(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Groups with a reference among `channels`; the specific force only where no pose is there (IMU-only logs)."""
         have = set(channels)
-        there = [g for g in self.groups if have.issuperset(GROUPS[g].columns)]
-        return tuple(g for g in there if g != "specific_force" or not any(p in there for p in POSE))
+        there = [g for g in self.groups if have.issuperset(self.table[g].columns)]
+        posed = any(p in there and not self.table[p].own for p in POSE)
+        return tuple(g for g in there if g != "specific_force" or self.table[g].own or not posed)
 
     def state_rows(self, block: str) -> list[int]:
         """Places of a block ("position", "attitude", ...) in the state vector."""

@@ -18,7 +18,7 @@ from greybox.validation.cross_correlation import CrossCorrelation
 from greybox.validation.groups import GROUPS
 from greybox.validation.horizon_table import HorizonTable, format_tables
 from greybox.validation.metrics import ChannelMetrics
-from greybox.validation.usefulness import in_words, judge
+from greybox.validation.usefulness import in_words, judge, standard_of
 from greybox.validation.whiteness import Whiteness
 
 if TYPE_CHECKING:
@@ -95,7 +95,10 @@ class Validation(Shown):
         if self.verdict is None or self.table is None or self.persistence is None:
             return self
         words = self.verdict.judged_on if judged_on is None else judged_on
-        verdict = judge(self.table, self.persistence, self.dead_reckoning, judged_on=words, hints=hints)
+        rule = standard_of(self.sample_time) if any(g.own for g in self.table.kinds.values()) else None
+        verdict = judge(
+            self.table, self.persistence, self.dead_reckoning, judged_on=words, hints=hints, standard=rule
+        )
         return replace(self, verdict=verdict)
 
     @property

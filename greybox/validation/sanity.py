@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.estimation.feasible import margins
 from greybox.estimation.fit import Fit
-from greybox.model.model import PhysicsModel
+from greybox.model.layer import physics_of
 from greybox.model.vehicle import Vehicle
 
 Severity = Literal["impossible", "doubtful"]
@@ -121,8 +121,8 @@ def sanity(estimates: Mapping[str, Estimated], vehicle: Vehicle, values: Mapping
 
 def sanity_of(fit: Fit) -> Sanity:
     """Judge a fit of a quadrotor; nothing is said about other models."""
-    physics = fit.model.physics
-    if not isinstance(physics, PhysicsModel):
+    physics = physics_of(fit.model.dynamics)
+    if physics is None:
         return Sanity(findings=())
     return sanity(fit.parameters, physics.vehicle, fit.model.values)
 

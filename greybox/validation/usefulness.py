@@ -17,7 +17,7 @@ from greybox.errors import DataError
 from greybox.model.verdict import GroupSkill, Outcome, Verdict
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
-from greybox.validation.groups import GROUPS
+from greybox.validation.groups import Group
 from greybox.validation.horizon_table import GroupErrors, HorizonTable
 
 TEST_FLIGHTS = "flights that it was not fitted to"
@@ -71,6 +71,17 @@ class Standard:
     """A group moves less than this many times its change over one sample within `look_ahead`: motion within noise."""
 
 
+def standard_of(sample_time: float) -> Standard:
+    """The standard of a model that is not a vehicle's, whose own time scale nobody knows: it counts samples, as many as the
+    seconds of a vehicle are at 100 Hz (10, 50 and 100). None of its outputs is called calm."""
+    plain = Standard()
+    samples = {n: round(vars(plain)[n] / SPACING) for n in ("minimum", "look_ahead", "longest")}
+    return Standard(**{n: k * sample_time for n, k in samples.items()}, short=0.0, sensor_sample=0.0)
+
+
+SPACING = 0.01
+"""[s] Sample time at which the standard of a vehicle is told in samples."""
+
 CALM = {"position": 0.1, "velocity": 0.15, "rotation": 0.05, "rate": 0.2, "specific_force": 0.3}
 """Mean change of a group [its unit] within half a second below which a flight is calm: a third of what an indoor flight
 of medium pace shows (NanoBench test flights: 0.44 m, 0.65 m/s, 0.15 rad, 0.77 rad/s). Below, holding the last value is
@@ -94,6 +105,7 @@ class _Comparison:
     """One group on the grid of horizons: errors (H,), and where the last value is better."""
 
     name: str
+    kind: Group
     model: FloatArray
     last: FloatArray
     floor: FloatArray | None
@@ -137,12 +149,14 @@ def judge(
     imu_only = set(groups) <= {"rate", "specific_force"}
     at = _index(seconds, rule.look_ahead_imu if imu_only else rule.look_ahead)
     floors = {} if measured_imu is None else measured_imu.groups
-    compared = [_compare(g, model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups]
+    compared = [
+        _compare(model.kinds[g], model.groups[g], last_value.groups[g], floors.get(g), seconds, at, rule) for g in groups
+    ]
     return _conclude(compared, model.unjudged, seconds, at, rule, judged_on, tuple(model.flights), list(hints))
 
 
 def _compare(
-    name: str,
+    kind: Group,
     model: GroupErrors,
     last: GroupErrors,
     floor: GroupErrors | None,
@@ -155,7 +169,7 @@ def _compare(
     best = None if floor is None or len(floor.mae) < steps else floor.mae[:steps]
     rival = held.copy()
     short = seconds <= rule.short + 1e-9
-    if name == "specific_force":
+    if kind.name == "specific_force" and not kind.own:
         rival[short] = np.maximum(held, held[_index(seconds, rule.short)])[short]
     elif best is not None:
         short &= np.isfinite(best)
@@ -164,12 +178,12 @@ def _compare(
     # A sample that is missing at a horizon (references sampled more slowly) says nothing.
     known = np.isfinite(held) & ~np.isnan(own)
     worse = known & ~(own <= rival + rule.equal * held + np.where(np.isfinite(chance), chance, 0.0))
-    scale = CALM[name]
+    scale = 0.0 if kind.own else CALM[kind.name]
     if seconds[0] <= rule.sensor_sample:
         scale = max(scale, rule.noise_motion * float(held[0]))
     calm = bool(held[at] < scale)
     excused = calm and bool(np.nanmax(own[: at + 1]) <= 2.0 * scale)
-    return _Comparison(name=name, model=own, last=held, floor=best, worse=worse, calm=calm, excused=excused)
+    return _Comparison(name=kind.name, kind=kind, model=own, last=held, floor=best, worse=worse, calm=calm, excused=excused)
 
 
 def standard_error(model: GroupErrors, last: GroupErrors, steps: int) -> FloatArray:
@@ -214,7 +228,9 @@ def _conclude(
     ends = int(np.argmax(bad)) if bad.any() else len(seconds)
     useful = float(seconds[ends - 1]) if ends else 0.0
     groups = tuple(_skill(c, seconds, at) for c in compared)
-    idle = [c for kind in KINDS for c in _no_better([c for c in counted if c.name in kind], slice(first, at + 1), rule)]
+    usual = [[c for c in counted if c.name in kind and not c.kind.own] for kind in KINDS]
+    together = [*usual, *([c] for c in counted if c.kind.own)]
+    idle = [c for kind in together for c in _no_better(kind, slice(first, at + 1), rule)]
     wrecked = [c for c in counted if c.model[at] > rule.wrecked * c.last[at]]  # NaN: nothing to compare
     reason = action = anchor = ""
     if ends <= first or wrecked or any(not c.calm for c in idle):
@@ -228,7 +244,7 @@ def _conclude(
         if np.isinf(worst.model[: at + 1]).any():
             hints.append(Hint(symptom=Symptom.DIVERGED))
         lost = ends <= first or bool(wrecked)
-        reason, action, anchor = likely(hints, symptom_of_group(worst.name) if lost else Symptom.NO_BETTER)
+        reason, action, anchor = likely(hints, _symptom(worst.kind, lost))
         line = f"NOT USABLE: {_failure(worst, lost, seconds, at)}. Likely: {reason}; next: {action} ({anchor})"
     elif excused or idle:
         outcome = Outcome.TOO_CALM
@@ -237,7 +253,7 @@ def _conclude(
         reason = f"the flights hardly move in {names}"
         action = f"judge on a flight with {TELLING[which[0].name]}"
         anchor = Symptom.CALM.anchor
-        moved = ", ".join(f"{_word(c.name)} {_value(c.last[at], c.name)}" for c in which)
+        moved = ", ".join(f"{_word(c.name)} {_value(c.last[at], c.kind)}" for c in which)
         line = (
             f"too calm to judge {names}: within {seconds[at]:.2g} s the flights change by {moved}, where holding the "
             f"last value is nearly right; {action} ({anchor})"
@@ -282,7 +298,7 @@ def _skill(c: _Comparison, seconds: FloatArray, at: int) -> GroupSkill:
     covered = gained / distance if distance > 0 else -math.inf if gained < 0 else 1.0
     return GroupSkill(
         name=c.name,
-        unit=GROUPS[c.name].unit,
+        unit=c.kind.unit,
         seconds=float(seconds[at]),
         error=float(c.model[at]),
         last_value=float(c.last[at]),
@@ -301,8 +317,15 @@ def _word(group: str) -> str:
     return group.replace("_", " ")
 
 
-def _value(value: float, group: str) -> str:
-    return f"{value:.2g} {GROUPS[group].unit}"
+def _value(value: float, kind: Group) -> str:
+    return f"{value:.2g} {kind.unit}"
+
+
+def _symptom(kind: Group, lost: bool) -> Symptom:
+    """What a model that is not usable lacks, as far as its worst group says."""
+    if kind.own:
+        return Symptom.OWN_OUTPUT
+    return symptom_of_group(kind.name) if lost else Symptom.NO_BETTER
 
 
 def _compared(g: GroupSkill) -> str:
@@ -328,7 +351,7 @@ def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> st
         text = f"{_word(worst.name)} is no better than holding the last value"
     if not np.isfinite(worst.model[at]):
         return f"{text}, and not finite"
-    own, last = _value(worst.model[at], worst.name), f"{worst.last[at]:.2g}"
+    own, last = _value(worst.model[at], worst.kind), f"{worst.last[at]:.2g}"
     return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
 
 

@@ -8,6 +8,7 @@ a reference, never a measurement. The rows beside each table are persistence (ce
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,6 +17,7 @@ import numpy as np
 from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
+from greybox.estimation.engine import unfelt_place
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.propagation import Propagator
 from greybox.frames import GRAVITY
@@ -26,15 +28,15 @@ from greybox.validation.adapt import Adaptation, adapt_to_flight
 from greybox.validation.advice import Hint, Symptom
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning, estimate_imu_bias, persistence
 from greybox.validation.groups import GROUPS
-from greybox.validation.horizon import REQUIRED, HorizonAccumulator, complete_origins
+from greybox.validation.horizon import BLOCK_SECONDS, REQUIRED, HorizonAccumulator, complete_origins
 from greybox.validation.horizon_table import HorizonTable
-from greybox.validation.horizons import HORIZONS, horizons_of
+from greybox.validation.horizons import HORIZONS, LONGEST, SAMPLES, horizons_of
 from greybox.validation.one_step import OneStep
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from
 from greybox.validation.result import Validation
 from greybox.validation.samples import BoolArray, complete_rows
 from greybox.validation.stated import stated_covariances
-from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, Standard, judge
+from greybox.validation.usefulness import FITTED_FLIGHTS, PARTLY_FITTED, TEST_FLIGHTS, Standard, judge, standard_of
 
 Progress = Callable[[str], None]
 CHUNK = 200_000
@@ -53,7 +55,7 @@ def validate(
     model: IdentifiedModel,
     dataset: Dataset,
     *,
-    horizons: Sequence[float] = HORIZONS,
+    horizons: Sequence[float] | None = None,
     horizon_samples: Sequence[int] | None = None,
     adapt: float | None = None,
     measured_start: bool = False,
@@ -66,7 +68,8 @@ def validate(
 ) -> Validation:
     """Multi-step and one-step errors of `model` on all flights of `dataset`, with residual tests, baselines and a verdict.
 
-    `horizons` [s] are listed (`horizon_samples` instead: numbers of samples). `adapt` [s]: per flight, the
+    `horizons` [s] are listed (`horizon_samples` instead: numbers of samples; default: `HORIZONS`, of a model that is not a
+    vehicle's `SAMPLES`). `adapt` [s]: per flight, the
     parameters with a value per flight and the initial state are fitted on its first seconds with everything
     else fixed (prior: the training flights), then frozen; origins start after them, and dead reckoning takes
     its IMU biases from the same seconds. `measured_start` adds the row that starts from the measured state,
@@ -77,7 +80,13 @@ def validate(
     another sample time), `ModelError` (a smoothed channel is a measurement of the filter), `FitError`.
     """
     dt = model.sample_time
-    wanted = horizons_of(horizons, samples=horizon_samples, sample_time=dt)
+    own = physics_of(model.dynamics) is None
+    if own and horizons is None and horizon_samples is None:
+        horizon_samples = SAMPLES
+    wanted = horizons_of(
+        HORIZONS if horizons is None else horizons, samples=horizon_samples, sample_time=dt,
+        longest=np.inf if own else LONGEST,
+    )  # fmt: skip
     if not len(dataset):
         raise DataError("no flight to validate on")
     _demand_causal(model, dataset)
@@ -125,7 +134,9 @@ class _Work:
         self.reader = GroupReader(self.model)
         self.groups = self.reader.judged(self.dataset.any_channels)
         dt = self.model.sample_time
-        self.steps = max(REQUIRED, self.wanted[-1], round(Standard().longest / dt))
+        own = physics_of(self.model.dynamics) is None
+        self.standard = standard_of(dt) if own else Standard()
+        self.steps = max(REQUIRED, self.wanted[-1], round(self.standard.longest / dt))
         share = min((self._surviving(g) for g in self.groups), default=1.0)
         missing = "origin" if share >= SURVIVING else "step"
         if missing == "step":
@@ -134,7 +145,14 @@ class _Work:
                 "are left out"
             )
         self.rows = {
-            label: HorizonAccumulator(label=label, sample_time=dt, steps=self.steps, missing=missing)
+            label: HorizonAccumulator(
+                label=label,
+                sample_time=dt,
+                steps=self.steps,
+                missing=missing,
+                groups=self.reader.table,
+                block_seconds=2 * self.standard.longest if own else BLOCK_SECONDS,
+            )
             for label in ("model", "measured start", "persistence", "dead reckoning")
         }
         self.one_step = OneStep(dynamics=self.model.dynamics)
@@ -176,6 +194,10 @@ class _Work:
         late[: max(3, round(self.skip / segment.dt)) - 1] = False
         return late
 
+    def _matrix(self, segment: Segment, group: str) -> FloatArray:
+        """Values (N, dimension) of a group of the model, NaN where not measured."""
+        return segment.matrix(self.reader.table[group].columns, missing_ok=True)
+
     def _origins(self, late: BoolArray) -> IntArray:
         """The origins of a segment: late enough, and with all required steps ahead."""
         origins = np.flatnonzero(late)
@@ -186,7 +208,7 @@ class _Work:
         complete, count = 0, 0
         for flight in self.dataset:
             for segment in flight.segments:
-                there = complete_rows(_matrix(segment, group))
+                there = complete_rows(self._matrix(segment, group))
                 if there.any():
                     origins = self._origins(self._late(flight, segment))
                     complete += int(complete_origins(there, origins, required=REQUIRED).sum())
@@ -227,7 +249,7 @@ class _Work:
         self, name: str, segment: Segment, filtered: Filtered, late: BoolArray, bias: ImuBias, spread: Mapping[str, float]
     ) -> None:  # fmt: skip
         origins = self._origins(late)
-        references = {g: _matrix(segment, g) for g in self.groups}
+        references = {g: self._matrix(segment, g) for g in self.groups}
         references = {g: r for g, r in references.items() if np.isfinite(r).all(axis=1).any()}
         if not references:
             return
@@ -244,7 +266,8 @@ class _Work:
                 )
                 self._row("measured start", name, predicted, references, part)
             self._row("persistence", name, persistence(references, part, steps=self.steps), references, part)
-            if "rotation" in references and _has(segment.names, "rate", "specific_force"):
+            posed = "rotation" in references and not self.reader.table["rotation"].own
+            if posed and _has(segment.names, "rate", "specific_force"):
                 floor = self._dead_reckoning(segment, filtered, references, part, bias)
                 self._row("dead reckoning", name, floor, references, part)
 
@@ -299,13 +322,14 @@ class _Work:
         except FitError as error:
             self.warnings.append(f"uncertainty ahead not computed: {error}")
             return {}
-        out = {g: np.full((len(origins), self.steps, 3, 3), np.nan) for g in some}
+        out = {g: np.full((len(origins), *value.shape[1:]), np.nan) for g, value in some.items()}
         for g, value in some.items():
             out[g][chosen] = value
         return out
 
     def _extrapolation(self, flight: Flight) -> None:
-        """Say where a flight leaves the range that the training flights covered."""
+        """Say where a flight leaves the range that the training flights covered; another place is
+        none, unless something depends on the place."""
         out = []
         for name, (low, high) in self.model.domain.items():
             width = high - low
@@ -314,10 +338,14 @@ class _Work:
                     continue
                 values = segment.channels[name]
                 beyond = np.nanmean((values < low - 0.1 * width) | (values > high + 0.1 * width))
-                if beyond > 0.01:
+                if beyond > 0.01 and name not in self._unfelt_place:
                     out.append(f"{name} ({beyond:.0%})")
         if out:
             self.warnings.append(f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}")
+
+    @functools.cached_property
+    def _unfelt_place(self) -> frozenset[str]:
+        return unfelt_place(self.model.dynamics)
 
     # ------------------------------------------------------------ result
 
@@ -336,7 +364,7 @@ class _Work:
         own = tables["model"]
         if own is not None:
             measured = [
-                g for g in self.groups if any(complete_rows(_matrix(s, g)).any() for s in self.dataset.segments)
+                g for g in self.groups if any(complete_rows(self._matrix(s, g)).any() for s in self.dataset.segments)
             ]
             own = replace(own, unjudged=tuple(g for g in measured if g not in own.groups))
         if own is not None and own.diverged:
@@ -351,7 +379,9 @@ class _Work:
             if self.adapt is None and own_values and self.judged_on == TEST_FLIGHTS:
                 hints.append(Hint(symptom=Symptom.FLIGHT_DIFFERS, detail="its own values were not adapted"))
             try:
-                verdict = judge(own, held, floor, judged_on=self.judged_on, hints=hints)
+                verdict = judge(
+                    own, held, floor, judged_on=self.judged_on, hints=hints, standard=self.standard
+                )
             except DataError as error:
                 self.warnings.append(str(error))
         whiteness, cross, said = self.one_step.tests()

@@ -5,9 +5,9 @@ terms with the names of greybox's catalogue.
 
 The nominal model is the vehicle file's: its rotor lag, thrust and torque maps, inertia. Gyro and
 everything that is compared with its derivative go through one Savitzky-Golay filter (1964), whose
-window is WINDOW rows; rows are then thinned to half a window. A term is what one parameter of an
-effect adds to y, to first order; effects without a term (those of pose and attitude, and a bias of
-the gyro) cannot be named from accelerations.
+window is WINDOW rows; rows are then thinned to one per window, so that the filter does not tie them
+together. A term is what one parameter of an effect adds to y, to first order; effects without one
+(those of pose and attitude, and a bias of the gyro) cannot be named from accelerations.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ RATE = 100.0
 WINDOW = 11
 ORDER = 3
 CORE = "core"
-"""Terms of what the file is not sure of: sizes of thrust, torque and inertia. Always in."""
+"""Terms of what the file is not sure of: sizes of thrust, torque and inertia, a lag. Always in."""
 LATE = "command_delay|motor_lag|sensor_delay"
 """To first order in the delay these are one term."""
 
@@ -155,9 +155,12 @@ def regression(vehicle: Vehicle, columns: Mapping[str, Array]) -> Regression:
     turns = [_axis(some, 3 + i) for some in (pulled + yaw, _padded(f.swirl)) for i in range(3)]
     terms = {CORE: [pulled, yaw, *turns], **_rotor_terms(f), **_body_terms(f)}
     terms |= _imu_terms(f, nominal)
+    lag = vehicle.effects.get("motor_lag")
+    if lag is not None and lag["tau"].sigma > 0.0:
+        terms[CORE] += terms[LATE]
     if "vx" in columns and "qw" in columns:
         terms |= _moving(columns, f.speeds.sum(-1), f.mass, f.inertia)
-    few = slice(WINDOW, -WINDOW, WINDOW // 2)
+    few = slice(WINDOW, -WINDOW, WINDOW)
     return Regression(y=y[few], terms={n: np.stack(t, -1)[few] for n, t in terms.items()})
 
 

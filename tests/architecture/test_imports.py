@@ -14,7 +14,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts", "shown", "plots", "distribution")
 ROOMS = (
-    "statistics", "data", "model", "estimation", "validation", "automatic", "residual", "discovery", "planning", "report",
+    "statistics", "data", "model", "estimation", "validation", "automatic", "residual",
+    "simulators", "discovery", "planning",
+    "report",
 )  # fmt: skip
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}
 PLAIN_NUMBERS = "greybox.model.vehicle"

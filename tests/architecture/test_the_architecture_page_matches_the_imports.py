@@ -8,7 +8,7 @@ from collections import defaultdict
 from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
-BESIDE = ("statistics", "automatic", "report")
+BESIDE = ("statistics", "automatic", "simulators", "report")
 """Rooms that are no step on the way of the data: below all of them, beside the fit, and behind all of them."""
 SCENARIOS = ("plants", "excitation", "courses", "flights", "foreign")
 

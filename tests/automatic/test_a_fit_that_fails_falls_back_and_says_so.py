@@ -40,7 +40,7 @@ def test_a_fit_that_does_not_converge_falls_back_and_says_as_what():
     hurried = LevenbergMarquardt(max_iterations=1)
     options = FitOptions(predictor="multi-step", solver=hurried, noise={"noise.sensor.p": 1.0})
     recipe = Recipe(effects=("motor_lag", "gyro_bias"), options=options)
-    decided = Decided(recipe=recipe, decisions=(), candidate=None, first_parts=None, left_out=None)
+    decided = Decided(recipe=recipe, decisions=(), candidate=None)
     result = fit_decided(vehicle(), prepare(vehicle(), flights(**SHORT)), decided)
     assert [d.choice for d in falls(result)] == ["likelihood one step ahead"]
     assert "NOT converged" in falls(result)[0].reason

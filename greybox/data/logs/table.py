@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from greybox.errors import printable
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
@@ -30,7 +32,7 @@ class Table:
 
 def flight_name(path: str | Path) -> str:
     """Name of the flight of a log file: the file name without .csv or .csv.gz (or its last suffix)."""
-    name = Path(path).name
+    name = printable(Path(path).name)  # it is printed, and a name of a file may hold anything
     if name.endswith(".gz"):
         name = name[: -len(".gz")]
     stem, dot, _ = name.rpartition(".")

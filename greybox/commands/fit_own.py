@@ -1,0 +1,102 @@
+"""`greybox fit --model-file own.py:build`: fit a model of the user's own, judge it, report."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.estimation.result import Fit
+    from greybox.validation.result import Validation
+
+OF_VEHICLES = {
+    "effects": None, "effects_file": [], "kinematic_noise": None, "keep_impossible": False, "all_flights": False,
+}  # fmt: skip
+"""Options that only a vehicle has, with the value that says nothing."""
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, fit, validate, report. Returns 1 where the model is not usable or did not converge."""
+    from greybox.commands.fit import series
+    from greybox.commands.judgement import exit_code, given_horizons
+    from greybox.commands.model_options import fit_options
+    from greybox.commands.own_model import demand_disjoint, read_flights_of
+    from greybox.errors import GreyboxError
+    from greybox.estimation.fit import fit
+    from greybox.estimation.record import sample_time
+    from greybox.estimation.status import Interrupted
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.model.own_model import load_own_model
+    from greybox.report.fit_report import fit_report
+
+    for name, silent in OF_VEHICLES.items():
+        if getattr(arguments, name) != silent:
+            raise GreyboxError(f"--{name.replace('_', '-')} is for vehicles", got="--model-file", fix="leave it out")
+    quiet = arguments.json == "-"
+    horizons = given_horizons(arguments, own=True)
+    model = load_own_model(arguments.model_file)
+    train = read_flights_of(arguments, model, arguments.train, rate=arguments.rate)
+    test = read_flights_of(arguments, model, arguments.test, rate=1 / sample_time(train))
+    demand_disjoint(train, test)
+    out = Path(arguments.out)
+
+    def save(found: Fit, warnings: list[str]) -> dict[str, Any]:
+        ours = sys.argv[1:2] == ["fit"]
+        content = {**found.to_dict(), "command": "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"}
+        content["warnings"] = [*warnings, *content["warnings"]]
+        write_json(out / "fit.json", content)
+        found.model.save(out / "model.json")
+        return content
+
+    def progress(iteration: int, cost: float, decrement: float) -> None:
+        if not quiet:
+            print(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}", file=sys.stderr)
+
+    try:
+        found = fit(model, train, fit_options(arguments), progress=progress)
+    except Interrupted as stop:
+        save(stop.kept, [])
+        for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
+            (out / name).unlink(missing_ok=True)
+        raise
+    warnings = [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
+    save(found, warnings)  # the fit is safe before anything else can go wrong
+    seen: Validation | None = None
+    try:
+        seen = _judged(found, test if test.flights else train, arguments.adapt, horizons)
+        found = found.judged(seen.verdict)
+        write_json(out / "validate.json", seen.to_dict())
+    except GreyboxError as error:
+        warnings.insert(0, f"no validation: {error}")
+        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
+    content = save(found, warnings)
+    page = fit_report(
+        content, series(found.model, train, test), None if seen is None else seen.to_dict(), title=f"Fit of {model.name}"
+    )
+    write_atomic(out / "report.html", page)
+    if quiet:
+        sys.stdout.write(dump_json(content))
+    elif arguments.json:
+        write_json(arguments.json, content)
+    if not quiet:
+        print(found.summary())
+        for warning in warnings:
+            print(f"warning: {warning}")
+        if seen is not None and seen.tables:
+            print(seen.table_text())
+        print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and report.html in {out}")
+    return exit_code(found.verdict) if found.verdict is not None or found.converged else 1
+
+
+def _judged(found: Fit, data: Dataset, adapt: float | None, horizons: dict[str, Any]) -> Validation:
+    from greybox.validation.advice import Hint, Symptom
+    from greybox.validation.validate import validate
+
+    bound = [n for n, e in found.parameters.items() if e.at_bound]
+    hints = [] if found.converged else [Hint(symptom=Symptom.NOT_CONVERGED)]
+    hints += [Hint(symptom=Symptom.OWN_OUTPUT, detail=f"{', '.join(bound)} at a bound")] if bound else []
+    return validate(found.model, data, **horizons, adapt=adapt, hints=hints)

@@ -1,0 +1,105 @@
+"""In Python what some commands do: read a file of any kind, export, compare methods, profile an unknown."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.estimation.profile import Profile
+    from greybox.estimation.result import Fit
+    from greybox.model.effect import Effect
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.linear import LinearModel
+    from greybox.model.sensor import Sensor
+    from greybox.model.vehicle import Vehicle
+    from greybox.residual.output_residual import OutputHybrid
+
+
+def load(
+    path: str | os.PathLike[str], *, effects: Iterable[Effect] = (), sensors: Iterable[Sensor] = ()
+) -> IdentifiedModel | LinearModel | OutputHybrid:
+    """Read a model file of any kind: of `fit`, `learn`, `discover` (`IdentifiedModel`), of `linear` (`LinearModel`), of
+    `learn` on a linear model (`OutputHybrid`).
+
+    `effects` and `sensors` are those of the user's own (`load_effects`). Raises `FileFormatError`, `UnknownNameError`.
+    """
+    from greybox.files import read_json
+    from greybox.model.linear import SCHEMA as LINEAR
+    from greybox.model.linear import LinearModel
+    from greybox.residual.files import load_model
+    from greybox.residual.output_residual import KIND, OutputHybrid
+
+    data = read_json(path)
+    if data.get("schema") == LINEAR:
+        return LinearModel.load(path)
+    if data.get("kind") == KIND:
+        return OutputHybrid.load(path, effects=effects)
+    return load_model(path, effects=effects, sensors=sensors)
+
+
+def export(
+    model: IdentifiedModel | LinearModel,
+    folder: str | os.PathLike[str],
+    *,
+    targets: Iterable[str] = ("c", "casadi"),
+    **options: Any,
+) -> Path:
+    """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the folder.
+
+    `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`) are those of
+    `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
+    """
+    from mpc_export.bundle import write_bundle
+
+    return write_bundle(model, folder, targets=targets, **options).folder
+
+
+def compare(
+    vehicle: Vehicle,
+    train: Dataset,
+    test: Dataset,
+    *,
+    methods: Sequence[str] | None = None,
+    fit: Callable[[], Fit] | None = None,
+    adapt: float | None = None,
+    budget: int = 4,
+    points: int = 50,
+    seed: int = 0,
+    horizons: Sequence[int] = (1, 10, 50, 100),
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Run methods on the same flights and judge them on the same samples, as `greybox compare` does.
+
+    `fit` makes the nonlinear model (default: `gb.fit(vehicle, train)`), `adapt` are seconds at the start of a test flight,
+    `budget` the candidates of every method that is tuned, `horizons` samples. Returns the content of compare.json; a method
+    that fails has its error in its row. Raises `UnknownNameError`, `DataError`.
+    """
+    from greybox.automatic import fit as automatic
+    from greybox.residual.compare import compare as run
+    from greybox.residual.compare_bench import Bench
+
+    bench = Bench(
+        vehicle=vehicle, train=train, test=test, fit=fit or (lambda: automatic(vehicle, train)), adapt=adapt, budget=budget,
+        seed=seed, points=points, horizons=tuple(horizons), say=say,
+    )  # fmt: skip
+    return list(run(bench, methods))[-1]
+
+
+def profile(
+    fit: Fit, name: str, *, flight: str | None = None, grid: Sequence[float] | None = None, level: float = 0.95
+) -> Profile:
+    """The profile likelihood of one estimated number of a fit: the others re-optimised along a grid.
+
+    `name` is a parameter or a noise level ("noise.sensor.p"), `flight` the flight where each has its own value. The
+    interval at `level` ends where the likelihood ratio says so; an end is the bound where the profile reaches that first,
+    and infinite where the data do not end it. Raises `UnknownNameError`.
+    """
+    from greybox.estimation.profile import profile as along
+    from greybox.estimation.solvers import SOLVERS
+
+    solver = SOLVERS[str(fit.settings["solver"])]()
+    return along(fit.problem, solver, fit.theta, name, flight=flight, grid=grid, level=level)

@@ -1,0 +1,129 @@
+"""`greybox profile`: likelihood intervals of single parameters of a fit, with the curve behind each."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greybox.commands.flight_logs import flight_log_options
+from greybox.commands.model_options import names
+from greybox.commands.own_model import loaded, model_file_option, read_flights_of
+
+if TYPE_CHECKING:
+    from greybox.estimation.profile import Profile
+    from greybox.estimation.result import Fit
+
+KEPT = ("predictor", "criterion", "solver", "per_flight", "fixed", "estimate_noise")
+"""Choices of the fit that are taken from its fit.json."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    p = subparsers.add_parser(
+        "profile",
+        help="likelihood intervals of single parameters of a fit",
+        description="Hold one parameter along a grid, fit all others again, and give the interval in which the likelihood "
+        "ratio keeps it: right where a symmetric error bar is not (bounds, ratios, weak excitation). Writes profile.json "
+        "and report.html. Exit code 0: done; 1: done, and an interval has no end on one side; 2: bad input.",
+    )
+    p.add_argument("model", metavar="MODEL.json", help="model file of `greybox fit`, with its fit.json beside it")
+    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
+    p.add_argument("--of", required=True, type=names, metavar="a,b", help="parameters or noise levels (noise.sensor.p)")
+    p.add_argument("--level", type=float, default=0.95, help="probability of the interval (default %(default)s)")
+    flight_log_options(p)
+    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    model_file_option(p)
+    p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
+    p.add_argument("--json", metavar="F", default=None, help="also write profile.json to F ('-': standard output)")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fit again from the model's values, profile, report. Returns 1 where an interval has no end."""
+    import math
+
+    from greybox.commands.front_door import profile
+    from greybox.errors import DataError
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.report.profile_report import profile_report
+
+    if not 0 < arguments.level < 1:
+        raise DataError("--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95")
+    quiet = arguments.json == "-"
+    found = _fitted(arguments)
+    profiles = []
+    for name in arguments.of:
+        if not quiet:
+            print(f"  {name} ...", file=sys.stderr, flush=True)
+        profiles.append(profile(found, name, level=arguments.level))
+    out = Path(arguments.out)
+    ours = sys.argv[1:2] == ["profile"]
+    content = {
+        "schema": "greybox.profile/1",
+        "command": "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox profile",
+        "model": found.model.name, "level": arguments.level, "profiles": [_plain(p, found) for p in profiles],
+    }  # fmt: skip
+    write_json(out / "profile.json", content)
+    write_atomic(out / "report.html", profile_report(content))
+    if quiet:
+        sys.stdout.write(dump_json(content))
+    else:
+        if arguments.json:
+            write_json(arguments.json, content)
+        print("\n".join(_line(p, found) for p in profiles))
+        print(f"wrote profile.json and report.html in {out}")
+    return 0 if all(math.isfinite(p.lower) and math.isfinite(p.upper) for p in profiles) else 1
+
+
+def _fitted(arguments: argparse.Namespace) -> Fit:
+    """The fit behind a model file: again from its values, with the choices that its fit.json names."""
+    from greybox.errors import DataError, FitError
+    from greybox.estimation.fit import fit, noise_of
+    from greybox.estimation.options import FitOptions
+    from greybox.files import read_json
+
+    model = loaded(arguments)
+    beside = Path(arguments.model).with_name("fit.json")
+    if not beside.exists():
+        raise DataError("no fit.json beside the model", where=arguments.model, fix="keep both files of the fit together")
+    settings = read_json(beside, schema="greybox.fit/1")["settings"]
+    train = read_flights_of(arguments, model.dynamics, arguments.train, rate=1 / model.sample_time)
+    if strangers := sorted(set(train.names) ^ set(model.trained_on)):
+        raise DataError(
+            f"flight {', '.join(strangers)}: not the flights of the fit", expected=", ".join(model.trained_on),
+            fix="give the flights that it was fitted to",
+        )  # fmt: skip
+    choices: Any = {k: settings[k] for k in KEPT if k in settings}
+    choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
+    found = fit(model.dynamics, train, FitOptions.of(None, choices))
+    if not found.converged:
+        raise FitError("the fit does not converge from its own values", fix="greybox fit first; a profile needs its optimum")
+    return found
+
+
+def _plain(p: Profile, found: Fit) -> dict[str, Any]:
+    std = found.parameters[p.name].std if p.name in found.parameters else found.noise[p.name][1]
+    return {
+        "name": p.name, "unit": p.unit, "estimate": p.estimate, "std": std, "lower": p.lower, "upper": p.upper,
+        "at_bound": _ends(p, found), "grid": p.grid.tolist(), "cost": p.cost.tolist(), "converged": p.converged.tolist(),
+    }  # fmt: skip
+
+
+def _ends(p: Profile, found: Fit) -> list[str]:
+    """Which ends of the interval are bounds of the parameter, not what the data say."""
+    place = found.problem.place(p.name, p.flight)
+    assert place is not None
+    u = found.problem.unknowns[place]
+    return [side for side, end, bound in (("lower", p.lower, u.lower), ("upper", p.upper, u.upper)) if end == bound]
+
+
+def _line(p: Profile, found: Fit) -> str:
+    said = [f"{side} end is its bound" for side in _ends(p, found)]
+    ends = (("lower", p.lower), ("upper", p.upper))
+    said += [f"the data give no {side} end" for side, v in ends if abs(v) == float("inf")]
+    said += ["some grid points did not converge"] if not p.converged.all() else []
+    text = f"{p.name}: {p.estimate:.5g} {p.unit}, {100 * p.level:g} % interval {p.lower:.5g} .. {p.upper:.5g}"
+    return text + (f" ({'; '.join(said)})" if said else "")

@@ -1,0 +1,174 @@
+"""greybox twin MODEL.json --out DIR: an identified model as files of the simulators that people
+use, with what each of them folds or loses."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+NAMES = (
+    "numpy",
+    "jax",
+    "rotorpy",
+    "mujoco",
+    "crazyflow",
+    "drone-models",
+    "pybullet",
+    "gazebo",
+    "px4",
+    "isaac",
+)
+
+
+def add(commands: Any) -> None:
+    """Add the subcommand."""
+    p = commands.add_parser(
+        "twin",
+        help="write a fitted model as files of simulators",
+        description="Write a fitted model as files of simulators, and say of every effect whether "
+        "the simulator says it, folds it into something else, or loses it, with the size of what "
+        "is lost over the training flights. Existing files are kept unless --force is given. Exit "
+        "code 0: done, 1: refused, as the model is not usable, 2: bad input.",
+    )
+    p.add_argument(
+        "model",
+        metavar="MODEL",
+        nargs="?",
+        help="model file of fit, discover or learn; or a vehicle file (V.toml), for what its data "
+        "sheet says",
+    )
+    p.add_argument("--out", metavar="DIR", help="folder to write to")
+    p.add_argument(
+        "--compare",
+        nargs=2,
+        metavar=("OLD", "NEW"),
+        help="instead: what has changed between two models of a craft, in newtons and percent, "
+        "and what it does to a flight",
+    )
+    p.add_argument(
+        "--target",
+        default="",
+        metavar="T,...",
+        help=f"some of {', '.join(NAMES)} (default: all that can express the craft)",
+    )
+    p.add_argument(
+        "--draws",
+        type=int,
+        metavar="N",
+        help="also N craft as uncertain as the fit left them, as arrays and as a TOML of ranges",
+    )
+    p.add_argument("--seed", type=int, default=0, help="of the draws (default %(default)s)")
+    p.add_argument(
+        "--check",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="flights that no fit saw: how many of them the drawn craft hold in their 95 %% band, "
+        "beside a box of +-30 %% (needs --draws)",
+    )
+    p.add_argument("--force", action="store_true", help="write over existing files")
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
+    p.add_argument(
+        "--even-so", action="store_true", help="go on although the model was judged not usable"
+    )
+    p.add_argument("--json", metavar="FILE", help="write the statement; - for standard output")
+    p.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, judge, write, say what is left out. Returns 0, or 1 where the model is not usable."""
+    from greybox.errors import DataError, UnknownNameError
+    from greybox.files import dump_json, write_json
+    from greybox.simulators.make import twin
+
+    if arguments.compare:
+        return _compare(arguments)
+    if arguments.model is None or arguments.out is None:
+        raise DataError(
+            "MODEL and --out are needed", expected="MODEL --out DIR, or --compare OLD NEW"
+        )
+    names = tuple(n.strip() for n in arguments.target.split(",") if n.strip())
+    for name in names:
+        if name not in NAMES:
+            raise UnknownNameError("target", name, NAMES)
+    model = _model(arguments.model, arguments.effects_file, even_so=arguments.even_so)
+    if model is None:
+        return 1
+    if arguments.check and not arguments.draws:
+        raise DataError("--check without draws", fix="add --draws 200")
+    flights = _flights(model, arguments.check) if arguments.check else None
+    made = twin(
+        model,
+        names,
+        out=arguments.out,
+        force=arguments.force,
+        draws=arguments.draws,
+        seed=arguments.seed,
+        check=flights,
+    )
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(made.to_dict()))
+        return 0
+    print(made.summary())
+    print(f"\nwritten: {len(made.files) + 1} files in {arguments.out}")
+    if arguments.json:
+        write_json(arguments.json, made.to_dict())
+    return 0
+
+
+def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
+    """A model of a vehicle, or None where it was judged not usable (which is said)."""
+    from greybox.commands.judgement import gate
+    from greybox.files import read_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.vehicle import read_vehicle
+    from greybox.residual.files import load_model
+    from greybox.simulators.data_sheet import model_of
+
+    if path.endswith(".toml"):
+        print(f"greybox twin: {path}: a data sheet; no flight was fitted", file=sys.stderr)
+        return model_of(read_vehicle(path))
+    own = [e for file in effects_files for e in load_effects(file)]
+    model = load_model(path, effects=own)
+    judged = gate(read_json(path), path, even_so=even_so)
+    judged.say("twin")
+    return model if judged.open else None
+
+
+def _flights(model: Any, logs: list[str]) -> Any:
+    """Logs of the model's vehicle at its rate."""
+    from greybox.data.logs import read_logs
+
+    return read_logs(logs, model.physics.vehicle, rate=1.0 / model.sample_time)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    """Say what has changed between two models. Returns 0, or 1 where one is not usable."""
+    from greybox.files import dump_json, write_json
+    from greybox.simulators.compare import compare
+
+    if arguments.model is not None or arguments.out is not None:
+        from greybox.errors import DataError
+
+        raise DataError("--compare takes two models and nothing else", fix="leave out MODEL, --out")
+    models = [
+        _model(path, arguments.effects_file, even_so=arguments.even_so)
+        for path in arguments.compare
+    ]
+    if any(m is None for m in models):
+        return 1
+    found = compare(*models)
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(found.to_dict()))
+        return 0
+    print(found.summary())
+    if arguments.json:
+        write_json(arguments.json, found.to_dict())
+    return 0

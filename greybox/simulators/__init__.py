@@ -1,0 +1,1 @@
+"""The digital twin: a model as files of simulators, and what each of them leaves out."""

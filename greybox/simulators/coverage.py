@@ -1,0 +1,332 @@
+"""Coverage: do simulated flights of drawn craft hold the real one, and how wide are they?
+
+From instants of flights that no fit saw, all draws fly on under the recorded commands, in the very
+module that is written (simulate.py): own parameters, own pushes, own sensor noise, started from the
+filter's state within its covariance. The band holds the central 95 % of them. Beside it stands the
+customary box: every parameter of the craft evenly within 30 % of its value, and no pushes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Dataset, Flight, Segment
+from greybox.errors import DataError
+from greybox.estimation.filtering import Filter, Filtered
+from greybox.model.identified import IdentifiedModel
+from greybox.model.noise import disturbances, gauss_markov
+from greybox.simulators.draws import Draws
+from greybox.simulators.targets.numpy_module import NumPyModule
+from greybox.symbolic import FloatArray
+from greybox.validation.adapt import adapt_to_flight
+
+IntArray = npt.NDArray[np.int64]
+HORIZONS = (0.1, 0.5, 1.0)
+"""Seconds ahead."""
+LEVEL, BOX = 0.95, 0.3
+SPACING, START = 2.0, 5.0
+"""Seconds between the instants from which simulations start, and before the first of them."""
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "position": ("x", "y", "z"),
+    "velocity": ("vx", "vy", "vz"),
+    "rotation": ("qw", "qx", "qy", "qz"),
+    "rate": ("p", "q", "r"),
+}
+UNITS = {"position": "m", "velocity": "m/s", "rotation": "rad", "rate": "rad/s"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covered:
+    """One group at one horizon [s]: share of real values inside the band, of `count` (instants
+    times axes); mean width of the band and of that of the box, in the group's unit."""
+
+    group: str
+    seconds: float
+    share: float
+    count: int
+    width: float
+    box_width: float
+    box_share: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return dict(vars(self))
+
+
+def format_table(rows: tuple[Covered, ...]) -> str:
+    """For people."""
+    lines = [f"95 % band of simulated flights, real values inside it; box: +-{100 * BOX:.0f} %"]
+    lines.append("  group     ahead   inside    of   width       box inside  box width   box/band")
+    for r in rows:
+        lines.append(
+            f"  {r.group:9} {r.seconds:4g} s {100 * r.share:6.1f} % {r.count:5d}"
+            f"   {r.width:<9.3g} {UNITS[r.group]:6}{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}"
+            f"  {r.box_width / r.width:.1f}"
+        )
+    return "\n".join(lines)
+
+
+def coverage(
+    model: IdentifiedModel, draws: Draws, flights: Dataset, *, seed: int = 0
+) -> tuple[Covered, ...]:
+    """Coverage of `draws` on flights that no fit saw. Raises `DataError` where the flights are too
+    short, or the model does not carry position, velocity, attitude and rate."""
+    module = _module(draws)
+    states = tuple(model.dynamics.states.names)
+    if states != tuple(module["STATES"]):
+        raise DataError(
+            "the model does not carry the whole motion",
+            expected="states of position, velocity, attitude and rate",
+            got=", ".join(s for s in module["STATES"] if s not in states) + " missing",
+            fix="check on a model that was fitted with motion capture",
+        )
+    box = _box(draws, seed)
+    sums: dict[tuple[str, float], list[FloatArray]] = {}
+    for flight in flights:
+        for starts in _starts(model, flight):
+            _simulate(model, module, draws.values, starts, seed, True, sums, 0)
+            _simulate(model, module, box, starts, seed, False, sums, 1)
+    if not sums:
+        raise DataError(
+            "no flight is long enough to check",
+            expected=f"more than {START + max(HORIZONS):g} s in one piece",
+        )
+    return _rows(sums)
+
+
+def _module(draws: Draws) -> dict[str, Any]:
+    """The written module, loaded."""
+    space: dict[str, Any] = {"__name__": "simulate"}
+    exec(compile(NumPyModule().files(draws.craft)["simulate.py"], "simulate.py", "exec"), space)
+    return space
+
+
+def _box(draws: Draws, seed: int) -> FloatArray:
+    """As many craft from the customary box: what the body has, not what its sensors have."""
+    random = np.random.default_rng([seed, 1])
+    physics = draws.craft.physics
+    sensors = {e.name for e in physics.effects if e.stage == "sensor"}
+    own = set(draws.craft.values)
+    values = np.tile([draws.craft.source.values[n] for n in draws.names], (len(draws), 1))
+    for k, name in enumerate(draws.names):
+        if name in own and name.split(".")[0] not in sensors:
+            values[:, k] *= 1.0 + BOX * random.uniform(-1.0, 1.0, len(draws))
+    return np.asarray(values)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Start:
+    """Instants of one segment: states (m, n_x), rows (m,) of the record, its covariance."""
+
+    segment: Segment
+    filtered: Filtered
+    rows: IntArray
+    spread: FloatArray
+
+
+def _starts(model: IdentifiedModel, flight: Flight) -> list[_Start]:
+    """Where simulations of a flight begin. Per-flight parameters of the filter are adapted on the
+    first seconds, as for any new flight; those of the draws are not."""
+    filter_ = Filter(model)
+    values: Mapping[str, float] = {}
+    if model.flight_spread and flight.duration > 3.0 * START:
+        values = adapt_to_flight(model, flight, START, riccati=filter_.riccati).values
+    out = []
+    for segment in flight.segments:
+        run = filter_.run(segment, model.parameter_vector(values))
+        dt = run.record.dt
+        last = run.record.n - round(max(HORIZONS) / dt) - 2
+        rows = np.arange(round(START / dt), last, round(SPACING / dt))
+        if len(rows):
+            out.append(
+                _Start(segment=segment, filtered=run, rows=rows, spread=run.state_covariance)
+            )
+    return out
+
+
+def _simulate(
+    model: IdentifiedModel,
+    module: Mapping[str, Any],
+    values: FloatArray,
+    start: _Start,
+    seed: int,
+    pushed: bool,
+    sums: dict[tuple[str, float], list[FloatArray]],
+    which: int,
+) -> None:
+    """Fly all draws from all instants, and keep what lies inside and how wide it is."""
+    random = np.random.default_rng([seed, 2])
+    record, n = start.filtered.record, len(values)
+    x = _first_states(model, start, n, random, pushed)
+    level = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    step: Callable[..., FloatArray] = module["step"]
+    past, future = int(module["PAST"]), int(module["FUTURE"])
+    sigma = dict(zip(model.dynamics.innovations.names, model.sensor_noise, strict=True))
+    ends = {round(h / record.dt): h for h in HORIZONS}
+    # state k + 1 is the filter's; the step from there takes the command of k + 1
+    for k in range(1, max(ends) + 1):
+        at = start.rows + k
+        window = _window(record.inputs, at, past + 1 + future)
+        w = level * random.standard_normal((len(start.rows), n, len(level))) if pushed else None
+        x = step(x, window[:, None], values[None], w)
+        if k in ends:
+            seen = _seen(x, _window(record.inputs, at + 1, past + 1 + future), values, module)
+            for g in GROUPS:
+                real = _real(start.segment, g, at + 1)
+                if real is not None:
+                    noise = _noise(g, sigma, random, seen[g].shape)
+                    _keep(sums, g, ends[k], seen[g] + noise, real, which)
+
+
+def _window(inputs: FloatArray, at: IntArray, size: int) -> FloatArray:
+    """Commands that the step from samples `at` (m,) looks at, (m, size, n_u); the record is padded
+    in front by the earlier ones."""
+    return np.stack([inputs[at + i] for i in range(size)], axis=1)
+
+
+def _first_states(
+    model: IdentifiedModel, start: _Start, n: int, random: np.random.Generator, pushed: bool
+) -> FloatArray:
+    """(m, n, n_x): the filter's states with its errors; disturbances anew, as no simulator knows
+    those of the flight."""
+    names = model.dynamics.states.names
+    centre = start.filtered.states[start.rows + 1]
+    errors = model.dynamics.error_states.names
+    root = np.linalg.cholesky(start.spread + 1e-15 * np.eye(len(errors)))
+    d = random.standard_normal((len(centre), n, len(errors))) @ root.T
+    x = np.repeat(centre[:, None], n, axis=1)
+    turn = _rotation(centre[:, 6:10])
+    for rows in (slice(0, 3), slice(3, 6)):
+        x[..., rows] += np.einsum("mij,mnj->mni", turn, d[..., rows])
+    x[..., 6:10] = _turned(x[..., 6:10], d[..., 6:9])
+    x[..., 10:13] += d[..., 9:12]
+    x[..., 13:] += d[..., 12:]
+    level = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    for part in disturbances(model.dynamics):
+        time = float(model.values[f"{part.name}.T"])
+        share = gauss_markov.renewed(time, model.sample_time)
+        for i, name in enumerate(names):
+            if name.startswith(f"{part.name}."):
+                j = model.dynamics.noises.names.index(name)
+                size = float(level[j]) / math.sqrt(share) if pushed else 0.0
+                x[..., i] = size * random.standard_normal(x.shape[:2])
+    return np.asarray(x)
+
+
+def _seen(
+    x: FloatArray, window: FloatArray, values: FloatArray, module: Mapping[str, Any]
+) -> dict[str, FloatArray]:
+    """Group -> sensor values (m, n, axes); attitudes as Euler angles."""
+    y = module["output"](x, window[:, None], values[None])
+    places = {name: i for i, name in enumerate(module["OUTPUTS"])}
+    out = {}
+    for group, columns in GROUPS.items():
+        value = y[..., [places[c] for c in columns]]
+        out[group] = _euler(value) if group == "rotation" else value
+    return out
+
+
+def _real(segment: Segment, group: str, rows: IntArray) -> FloatArray | None:
+    columns = GROUPS[group]
+    if not all(c in segment.channels for c in columns):
+        return None
+    value = np.stack([np.asarray(segment[c])[rows] for c in columns], axis=-1)
+    return _euler(value) if group == "rotation" else np.asarray(value)
+
+
+def _noise(
+    group: str, sigma: Mapping[str, float], random: np.random.Generator, shape: tuple[int, ...]
+) -> FloatArray:
+    names = {
+        "position": [f"position.{a}" for a in "xyz"],
+        "velocity": [f"velocity.{a}" for a in "xyz"],
+        "rotation": [f"attitude.{a}" for a in "xyz"],
+        "rate": ["p", "q", "r"],
+    }[group]
+    level = np.array([float(sigma.get(n, 0.0)) for n in names])
+    return np.asarray(level * random.standard_normal(shape))
+
+
+def _keep(
+    sums: dict[tuple[str, float], list[FloatArray]],
+    group: str,
+    seconds: float,
+    seen: FloatArray,
+    real: FloatArray,
+    which: int,
+) -> None:
+    """Share inside and width of the band about its median; angles are compared around it."""
+    middle = np.median(seen, axis=1)
+    off, away = seen - middle[:, None], real - middle
+    if group == "rotation":
+        off, away = (np.arctan2(np.sin(v), np.cos(v)) for v in (off, away))
+    low, high = np.quantile(off, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=1)
+    good = np.isfinite(away)
+    inside = ((away >= low) & (away <= high))[good]
+    entry = sums.setdefault((group, seconds), [np.zeros(0)] * 4)
+    entry[2 * which] = np.concatenate([entry[2 * which], inside.astype(float)])
+    entry[2 * which + 1] = np.concatenate([entry[2 * which + 1], (high - low)[good]])
+
+
+def _rows(sums: Mapping[tuple[str, float], list[FloatArray]]) -> tuple[Covered, ...]:
+    return tuple(
+        Covered(
+            group=g,
+            seconds=h,
+            share=float(e[0].mean()),
+            count=len(e[0]),
+            width=float(e[1].mean()),
+            box_width=float(e[3].mean()),
+            box_share=float(e[2].mean()),
+        )
+        for (g, h), e in sorted(sums.items(), key=lambda i: (list(GROUPS).index(i[0][0]), i[0][1]))
+    )
+
+
+# ---------------------------------------------------------------- rotations of whole batches
+
+
+def _rotation(q: FloatArray) -> FloatArray:
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _turned(q: FloatArray, d: FloatArray) -> FloatArray:
+    """q * exp(d/2)."""
+    size = np.linalg.norm(d, axis=-1, keepdims=True)
+    e = np.concatenate([np.cos(size / 2), 0.5 * d * np.sinc(size / (2 * np.pi))], axis=-1)
+    a, b, c, f = np.moveaxis(q, -1, 0)
+    w, x, y, z = np.moveaxis(e, -1, 0)
+    return np.stack(
+        [
+            a * w - b * x - c * y - f * z,
+            a * x + b * w + c * z - f * y,
+            a * y - b * z + c * w + f * x,
+            a * z + b * y - c * x + f * w,
+        ],
+        axis=-1,
+    )
+
+
+def _euler(q: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
+            np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,237 @@
+"""Draws: craft as uncertain as the identification left them, for domain randomisation.
+
+Three sources: the joint posterior of the shared parameters, the spread of per-flight parameters
+between the training flights, and what remains unexplained, which is not a number of the craft but a
+push in flight (`pushes` has its level and time).
+
+Every draw is a body that can be: the posterior is cut to positive inertia that obeys the triangle
+inequality, by drawing again what is none, which keeps all correlations. (Drawing the log-Cholesky
+factor of the second moments instead, after Rucker and Wensing 2022, IEEE RA-L 7(2), also gives
+bodies only. But the covariance has to be carried over linearly, and a flat craft, whose second
+moment along z is as uncertain as it is large, then comes out several times too wide.) Other
+parameters that cannot be negative are drawn in their logarithm where that is nearly the same (sigma
+below half of the value), the rest as they are, cut at their bounds.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.model.identified import IdentifiedModel
+from greybox.model.parameter import Parameter
+from greybox.simulators.craft import Craft
+from greybox.simulators.laws import linear_drag
+from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
+from greybox.simulators.targets.mujoco import tangent
+from greybox.symbolic import BoolArray, FloatArray
+
+MOMENTS = ("inertia.xx", "inertia.yy", "inertia.zz")
+RELATIVE = 0.5
+"""Sigma over value below which a parameter that cannot be negative is drawn in its logarithm."""
+ROUNDS = 200
+"""How often draws that are no body are drawn again."""
+MOST_DRAWS = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draws:
+    """`values` (n, n_p), one craft per row, columns `names` (all parameters of the model, order of
+    simulate.py). `drawn` names those that vary; what the fit held is held."""
+
+    craft: Craft
+    names: tuple[str, ...]
+    values: FloatArray
+    drawn: tuple[str, ...]
+    seed: int
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def column(self, name: str) -> FloatArray:
+        """Values (n,) of one parameter."""
+        return np.asarray(self.values[:, self.names.index(name)])
+
+    def one(self, i: int) -> Craft:
+        """The craft of a row."""
+        row = dict(zip(self.names, self.values[i].tolist(), strict=True))
+        own = {n: row.get(n, v) for n, v in self.craft.values.items()}
+        return replace(self.craft, values=own)
+
+    def files(self) -> dict[str, str | bytes]:
+        """draws.npz (everything, for simulate.py), crazyflow.npz, mjx.npz, isaac.npz (the same
+        draws under the names of these simulators) and ranges.toml."""
+        every = [self.one(i) for i in range(len(self))]
+        return {
+            "draws/draws.npz": _npz({"names": np.array(self.names), "values": self.values}),
+            "draws/crazyflow.npz": _npz(_crazyflow(every)),
+            "draws/mjx.npz": _npz(_mjx(every)),
+            "draws/isaac.npz": _npz(_isaac(every)),
+            "draws/ranges.toml": self.ranges(),
+        }
+
+    def ranges(self) -> str:
+        """TOML of the central 95 % of every parameter that varies: a box for simulators that take
+        nothing else; it forgets the correlations."""
+        lines = [
+            f"# Central 95 % of {len(self)} draws (seed {self.seed}) of {self.craft.name}; the box",
+            "# forgets the correlations, draws.npz has them.",
+        ]
+        units = {d.name: d.unit for d in self.craft.source.dynamics.parameters}
+        for name in self.drawn:
+            v = self.column(name)
+            low, high = np.quantile(v, (0.025, 0.975))
+            lines += [
+                f'["{name}"]',
+                f"low = {float(low)!r}",
+                f"high = {float(high)!r}",
+                f"mean = {float(v.mean())!r}",
+                f"standard_deviation = {float(v.std())!r}",
+                f'unit = "{units[name]}"',
+            ]
+        return "\n".join(lines) + "\n"
+
+    def summary(self) -> str:
+        """One line per parameter that varies."""
+        lines = [f"{len(self)} draws, seed {self.seed}:"]
+        for name in self.drawn:
+            v = self.column(name)
+            mean = float(v.mean())
+            share = f" ({100 * float(v.std()) / abs(mean):.1f} %)" if mean else ""
+            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}")
+        return "\n".join(lines)
+
+
+def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
+    """`count` craft. Raises `DataError` for no number of draws, `ModelError` as `Craft.of`."""
+    if not 1 <= count <= MOST_DRAWS:
+        raise DataError("number of draws", expected=f"1 .. {MOST_DRAWS}", got=str(count))
+    craft = Craft.of(model)
+    declared = {d.name: d for d in model.dynamics.parameters}
+    names = tuple(declared)
+    random = np.random.default_rng(seed)
+    mean = np.array([float(model.values[n]) for n in names])
+    values = np.tile(mean, (count, 1))
+    shared = [n for n in model.covariance_names if n in declared]
+    between = [n for n, (_, s) in model.flight_spread.items() if s > 0 and math.isfinite(s)]
+    if shared:
+        picked = [list(model.covariance_names).index(n) for n in shared]
+        covariance = model.covariance[np.ix_(picked, picked)]
+        root, sigma = _root(covariance), np.sqrt(np.diag(covariance))
+        again = np.arange(count)
+        for _ in range(ROUNDS):
+            steps = random.standard_normal((len(again), len(shared))) @ root.T
+            for k, name in enumerate(shared):
+                at = names.index(name)
+                values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
+            again = again[~_bodies(craft, names, values[again])]
+            if not len(again):
+                break
+        else:
+            raise DataError(
+                f"{craft.title}: hardly any inertia within the fit's covariance is that of a body",
+                fix="fit with a prior on the inertia",
+            )
+    for name in between:
+        at = names.index(name)
+        centre, spread = model.flight_spread[name]
+        step = spread * random.standard_normal(count)
+        values[:, at] = _moved(declared[name], centre, spread, step)
+    return Draws(craft=craft, names=names, values=values, drawn=(*shared, *between), seed=seed)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """A matrix R with R R' the covariance, singular ones included."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _moved(d: Parameter, mean: float, sigma: float, step: FloatArray) -> FloatArray:
+    """Values (n,) of a parameter moved by `step` (n,), inside its bounds."""
+    if d.name in MOMENTS:
+        return np.asarray(mean + step)
+    if d.lower >= 0.0 and mean > 0.0 and sigma < RELATIVE * mean:
+        return np.asarray(np.minimum(mean * np.exp(step / mean), d.upper))
+    return np.asarray(np.clip(mean + step, d.lower, d.upper))
+
+
+def _bodies(craft: Craft, names: tuple[str, ...], values: FloatArray) -> BoolArray:
+    """Which rows (n,) have an inertia that is positive and obeys the triangle inequality."""
+    j = np.tile(craft.inertia, (len(values), 1, 1))
+    for i, name in enumerate(MOMENTS):
+        j[:, i, i] = values[:, names.index(name)]
+    for name, i, k in (("Jxy", 0, 1), ("Jxz", 0, 2), ("Jyz", 1, 2)):
+        full = f"products_of_inertia.{name}"
+        if full in names:
+            j[:, i, k] += values[:, names.index(full)] - craft.get(full)
+            j[:, k, i] = j[:, i, k]
+    moments = np.linalg.eigvalsh(j)
+    return np.asarray((moments[:, 0] > 0) & (moments[:, 2] < moments[:, 0] + moments[:, 1]))
+
+
+# ---------------------------------------------------------------- under the names of simulators
+
+
+def _npz(arrays: Mapping[str, FloatArray]) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:
+    """Arguments of first_principles.dynamics, one row per craft."""
+    first = every[0]
+    scale = first.speed_max * PER_MINUTE
+    powers = scale ** -np.arange(3.0)
+    j = np.array([c.inertia for c in every])
+    lags = np.maximum(np.array([c.lags for c in every]), SHORTEST_LAG)
+    zero = np.zeros(len(every))
+    length = float(np.abs(first.arms[:, :2]).max())
+    arms = np.array([c.arms for c in every])
+    spins = np.tile(-first.spins, (len(every), 1))
+    return {
+        "mass": np.array([c.mass for c in every]),
+        "J": j,
+        "J_inv": np.linalg.inv(j),
+        "rpm2thrust": np.array([c.thrust for c in every]) * powers,
+        "rpm2torque": np.array([c.torque for c in every]) * powers,
+        "rotor_dyn_coef": np.stack([1 / lags[:, 0], zero, 1 / lags[:, 1], zero], axis=1),
+        "drag_matrix": np.array([np.diag(-linear_drag(c)) for c in every]),
+        "mixing_matrix": np.stack([arms[..., 1] / length, -arms[..., 0] / length, spins], axis=1),
+        "L": np.full(len(every), length),
+    }
+
+
+def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
+    """Fields of the model of mujoco/model.xml: body 1 and its actuators."""
+    rows = [np.linalg.eigh(c.inertia) for c in every]
+    return {
+        "body_mass": np.array([c.mass for c in every]),
+        "body_ipos": np.array([c.center_of_mass for c in every]),
+        "body_inertia": np.array([r[0] for r in rows]),
+        "body_iaxes": np.array([r[1] for r in rows]),
+        "actuator_dynprm": np.array([max(c.get("motor_lag.tau"), SHORTEST_LAG) for c in every]),
+        "actuator_gainprm": np.array([tangent(c)[0] for c in every]),
+        "actuator_biasprm": np.array([tangent(c)[1] for c in every]),
+    }
+
+
+def _isaac(every: list[Craft]) -> dict[str, FloatArray]:
+    """Numbers of pegasus.yaml and the USD body, one row per craft."""
+    speed = every[0].speed_max
+    return {
+        "mass": np.array([c.mass for c in every]),
+        "inertia": np.array([c.inertia for c in every]),
+        "center_of_mass": np.array([c.center_of_mass for c in every]),
+        "rotor_constant": np.array([c.thrust[2] * c.strength / speed**2 for c in every]),
+        "rolling_moment_coefficient": np.array(
+            [c.torque[2] * c.strength / speed**2 for c in every]
+        ),
+        "drag": np.array([linear_drag(c) for c in every]),
+    }

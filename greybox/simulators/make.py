@@ -1,0 +1,135 @@
+"""twin: the files of a model for one or several simulators, and what each of them leaves out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from greybox.data import Dataset
+from greybox.errors import ModelError, UnknownNameError
+from greybox.files import OutputError, dump_json, write_atomic
+from greybox.model.identified import IdentifiedModel
+from greybox.simulators.coverage import Covered, coverage, format_table
+from greybox.simulators.craft import Craft
+from greybox.simulators.draws import draw
+from greybox.simulators.sensor_text import sensor_text
+from greybox.simulators.statement import Statement, state
+from greybox.simulators.targets import TARGETS, target_by_name
+
+SCHEMA = "greybox.twin/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin:
+    """`statements` of every target, in order; `files` maps paths inside the folder to their
+    text or bytes."""
+
+    model: str
+    data_hash: str
+    statements: tuple[Statement, ...]
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    covered: tuple[Covered, ...] = ()
+
+    def summary(self) -> str:
+        """The table of every target."""
+        return "\n\n".join([*(s.text for s in self.statements), *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values of twin.json (schema "greybox.twin/1")."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "data_hash": self.data_hash,
+            "targets": [s.to_dict() for s in self.statements],
+            "files": sorted(self.files),
+            "notes": list(self.notes),
+            "coverage": [c.to_dict() for c in self.covered],
+        }
+
+    def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write all files and twin.json into `folder`. Raises `OutputError` where one of them is
+        there already and `force` was not given; then nothing is written."""
+        place = Path(folder)
+        names = [*self.files, "twin.json"]
+        there = [n for n in names if (place / n).exists()]
+        if there and not force:
+            more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+            raise OutputError(
+                f"{there[0]}{more} exist",
+                where=str(place),
+                fix="choose another --out, or add --force",
+            )
+        for name, content in self.files.items():
+            write_atomic(place / name, content)
+        write_atomic(place / "twin.json", dump_json(self.to_dict()))
+        return place
+
+
+def twin(
+    model: IdentifiedModel,
+    targets: Sequence[str] = (),
+    *,
+    out: str | os.PathLike[str] | None = None,
+    force: bool = False,
+    draws: int | None = None,
+    seed: int = 0,
+    check: Dataset | None = None,
+) -> Twin:
+    """The model as files of `targets` (all, where none is named): one folder each, with
+    sensors.toml and a statement of what the simulator folds or loses. Written to `out`, if given.
+    `draws`: also so many craft as uncertain as the fit left them, from `seed`; `check`: flights
+    that no fit saw, on which their band is counted.
+
+    Raises `UnknownNameError` for a target, `ModelError` for a model that is no vehicle's, that no
+    body is like, or whose rotors a named target cannot express, `OutputError` for files that exist.
+    """
+    craft = Craft.of(model)
+    names = tuple(targets) or tuple(t.name for t in TARGETS)
+    if double := sorted({n for n in names if names.count(n) > 1}):
+        raise UnknownNameError("second target", double[0], [t.name for t in TARGETS])
+    sensors = sensor_text(craft, model.flight_spread)
+    statements: list[Statement] = []
+    files: dict[str, str | bytes] = {}
+    notes = [] if craft.speed_known else [_counted(craft)]
+    for target in [target_by_name(n) for n in names]:
+        try:
+            said = state(target, craft)
+        except ModelError as error:
+            if targets:
+                raise
+            notes.append(f"no files for {target.name}: {error.line}")
+            continue
+        statements.append(said)
+        texts = target.files(said.spoken)
+        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": said.text + "\n"}.items():
+            files[f"{target.name}/{name}"] = text
+    drawn = None if draws is None else draw(model, draws, seed)
+    covered: tuple[Covered, ...] = ()
+    if drawn is not None:
+        files |= drawn.files()
+        notes.append(drawn.summary())
+        if check is not None:
+            covered = coverage(model, drawn, check, seed=seed)
+            notes.append(format_table(covered))
+    made = Twin(
+        covered=covered,
+        model=craft.title,
+        data_hash=model.data_hash,
+        statements=tuple(statements),
+        files=files,
+        notes=tuple(notes),
+    )
+    if out is not None:
+        made.save(out, force=force)
+    return made
+
+
+def _counted(craft: Craft) -> str:
+    return (
+        f"speed_max is not in the vehicle file: rotor speeds are counted as if full speed were "
+        f"{craft.speed_max:g} rad/s. Thrust, torque and drag do not depend on it."
+    )

@@ -1,0 +1,118 @@
+"""simulate.py: the whole model, learned part and pushes included, as a module of NumPy or JAX."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from greybox.model.dynamics import Dynamics
+from greybox.model.layer import Layer, with_physics
+from greybox.simulators.craft import Craft
+from greybox.simulators.python_code import python_source
+from greybox.simulators.size import start_state
+
+HEAD = '''"""{title} in {library}: written by greybox twin, needs {needs} only.
+
+{use}
+A step lasts DT = {dt:g} s. x (..., {n_x}): STATES, SI units, world ENU, body FLU, quaternion
+(w, x, y, z) body to world. u (..., {n_u}): INPUTS. p ({n_p},) or (..., {n_p}): PARAMETERS, one
+row per craft for randomised ones. w (..., {n_w}): NOISES, zero for a calm flight, NOISE * standard
+normals for one that is pushed about as the real one was. Sensors: OUTPUTS, without
+noise. A window holds the last {past} commands, the present one{later}.
+"""
+
+{imports}
+
+DT = {dt!r}
+PAST, FUTURE = {past}, {future}
+STATES = {states}
+INPUTS = {inputs}
+OUTPUTS = {outputs}
+PARAMETERS = {parameters}
+VALUES = np.array({values})
+NOISES = {noises}
+NOISE = np.array({noise})
+START = np.array({start})  # level, at rest, rotors at hover speed
+HOVER = np.array({hover})  # command that holds it there
+
+
+'''
+
+
+def pieces(craft: Craft) -> dict[str, object]:
+    """The parts of the text that NumPy and JAX share: values of `HEAD`, and `functions`."""
+    dynamics = _whole(craft)
+    past, future = dynamics.window
+    model = craft.source
+    start = np.zeros(len(dynamics.states))
+    blocks = {
+        "position": np.zeros(3),
+        "velocity": np.zeros(3),
+        "attitude": np.array([1.0, 0.0, 0.0, 0.0]),
+        "rate": np.zeros(3),
+    }
+    hover = [hover_command(craft)] * craft.count
+    hover += [craft.nominal_voltage or 1.0] * (len(dynamics.inputs) - craft.count)
+    own = start_state(craft, blocks, np.array(hover))
+    start[: len(own)] = own
+    level = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    return {
+        "title": craft.name,
+        "dt": craft.sample_time,
+        "past": past,
+        "future": future,
+        "later": " and the one after it" if future else "",
+        "n_x": len(dynamics.states),
+        "n_u": len(dynamics.inputs),
+        "n_p": len(dynamics.parameters),
+        "n_w": len(dynamics.noises),
+        "states": repr(dynamics.states.names),
+        "inputs": repr(dynamics.inputs.names),
+        "outputs": repr(dynamics.outputs.names),
+        "parameters": repr(tuple(d.name for d in dynamics.parameters)),
+        "values": repr([_value(craft, d.name) for d in dynamics.parameters]),
+        "noises": repr(dynamics.noises.names),
+        "noise": repr([level.get(n, 0.0) for n in dynamics.noises.names]),
+        "start": repr(start.tolist()),
+        "hover": repr(hover),
+        "functions": _functions(dynamics, craft.sample_time),
+    }
+
+
+def _value(craft: Craft, name: str) -> float:
+    return float(craft.values[name]) if name in craft.values else float(craft.source.values[name])
+
+
+def hover_command(craft: Craft) -> float:
+    """The command whose settled rotor speed is that of hover, at the nominal voltage."""
+    nu, f = craft.hover_nu, craft.get("thrust_curve.f")
+    if f == 0.0:
+        return nu
+    return float((-(1.0 - f) + np.sqrt((1.0 - f) ** 2 + 4.0 * f * nu)) / (2.0 * f))
+
+
+def _whole(craft: Craft) -> Dynamics:
+    """The craft's physics under the pushes and learned parts of its source."""
+    dynamics = craft.source.dynamics
+    if not isinstance(dynamics, Layer):
+        return craft.physics
+    return with_physics(dynamics, lambda _: craft.physics)
+
+
+@lru_cache(maxsize=4)
+def _functions(dynamics: Dynamics, dt: float) -> str:
+    past, future = dynamics.window
+    x, p = ca.SX.sym("x", len(dynamics.states)), ca.SX.sym("p", len(dynamics.parameters))
+    u = ca.SX.sym("u", len(dynamics.inputs), past + 1 + future)
+    w = ca.SX.sym("w", len(dynamics.noises))
+    step = ca.densify(dynamics.step(0.0, x, u, p, w, dt))
+    output = ca.densify(dynamics.output(0.0, x, u, p, w, dt))
+    arguments = ("x", "u", "p", "w")
+    return "\n\n".join(
+        python_source(
+            ca.Function(f"model{name}", [x, u, p, w], [value], {"cse": True}), name, arguments
+        )
+        for name, value in (("_step", step), ("_output", output))
+    )

@@ -1,0 +1,69 @@
+"""sensors.toml: what the sensors of the model add to the truth, for any simulator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from greybox.simulators.craft import Craft
+
+GROUPS: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "gyro": (("p", "q", "r"), "rad/s"),
+    "accelerometer": (("ax", "ay", "az"), "m/s^2"),
+    "attitude": (("attitude.x", "attitude.y", "attitude.z"), "rad"),
+    "position": (("position.x", "position.y", "position.z"), "m"),
+    "velocity": (("velocity.x", "velocity.y", "velocity.z"), "m/s"),
+}
+"""Sensor -> its innovation channels and their unit."""
+
+
+def density(craft: Craft, sensor: str) -> float | None:
+    """White noise as a density, unit/sqrt(Hz): the mean over the axes of sigma sqrt(dt)."""
+    sigma = craft.noise(GROUPS[sensor][0])
+    if sigma is None:
+        return None
+    return float(math.sqrt((sigma**2).mean()) * math.sqrt(craft.sample_time))
+
+
+def sensor_text(craft: Craft, spread: Mapping[str, tuple[float, float]]) -> str:
+    """The file: per sensor white noise per sample and as a density, bias with its spread from
+    flight to flight, scale, misalignment and delay of the model's sensor effects."""
+    lines = [
+        f"# Sensors of {craft.name}, as identified. Standard deviations; body axes FLU, world ENU.",
+        f"sample_time = {craft.sample_time!r}  # s",
+    ]
+    for sensor, (names, unit) in GROUPS.items():
+        sigma = craft.noise(names)
+        if sigma is None:
+            continue
+        lines += ["", f"[{sensor}]"]
+        lines.append(f"white = {[float(v) for v in sigma]}  # {unit}, per sample")
+        lines.append(f"density = {density(craft, sensor)!r}  # {unit}/sqrt(Hz), mean over the axes")
+        lines += _effect_lines(craft, sensor, spread)
+    return "\n".join(lines) + "\n"
+
+
+def _effect_lines(
+    craft: Craft, sensor: str, spread: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """Numbers of the sensor's effects, with the spread between flights where there is one."""
+    lines = []
+    delay = {"gyro": "sensor_delay", "accelerometer": "sensor_delay"}.get(sensor, "pose_delay")
+    turned = "mocap_misalignment" if sensor == "attitude" else "imu_misalignment"
+    effects = {f"{sensor}_bias": "bias", f"{sensor}_scale": "scale", delay: "delay"}
+    if sensor in ("gyro", "accelerometer", "attitude"):
+        effects[turned] = "misalignment"
+    if sensor == "accelerometer":
+        effects["accelerometer_lever_arm"] = "lever_arm"
+    for name, key in effects.items():
+        effect = craft.effects.get(name)
+        if effect is None:
+            continue
+        rows = effect.parameters(craft.physics.vehicle)
+        full = [f"{name}.{d.name}" for d in rows]
+        numbers = [craft.values[n] for n in full]
+        lines.append(f"{key} = {numbers}  # {rows[0].unit}")
+        if any(n in spread for n in full):
+            between = [spread[n][1] if n in spread else 0.0 for n in full]
+            lines.append(f"{key}_between_flights = {between}  # {rows[0].unit}")
+    return lines

@@ -1,0 +1,156 @@
+"""Isaac Sim with Pegasus: the numbers of its thrust curve and drag as YAML, the body as USD text.
+
+Pegasus has thrust rotor_constant Omega^2 at every rotor at once, yaw torque
+rolling_moment_coefficient Omega^2 rot_dir on the body, and a linear drag of the body velocity
+(Jacinto et al. 2024, ICUAS; logic/thrusters/quadratic_thrust_curve.py, logic/dynamics).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from greybox.simulators.command_text import command_text, say_commands
+from greybox.simulators.craft import Craft
+from greybox.simulators.laws import drag_of, fold_drag
+from greybox.simulators.words import Word, Wording, quadratic_maps
+from greybox.symbolic import FloatArray
+
+_YAML = """# {name} for Pegasus (Isaac Sim), written by greybox twin.
+# config = yaml.safe_load(file); QuadraticThrustCurve(config["thrust_curve"]);
+# LinearDrag(config["drag"])
+# Rotor speeds: SPEED_MAX * commands.Rotors().speeds(u, dt), which carries delay and lag.
+mass: {mass}  # kg
+thrust_curve:
+  num_rotors: {count}
+  rotor_constant: {constants}  # N/(rad/s)^2
+  rolling_moment_coefficient: {moments}  # N m/(rad/s)^2
+  rot_dir: {directions}  # sign of the torque on the body
+  min_rotor_velocity: {low}  # rad/s
+  max_rotor_velocity: {high}
+drag: {drag}  # N s/m, body axes
+imu:
+  gyroscope:
+    noise_density: {gyro}  # rad/s/sqrt(Hz)
+  accelerometer:
+    noise_density: {accelerometer}  # m/s^2/sqrt(Hz)
+"""
+_USD = """#usda 1.0
+(
+    defaultPrim = "{name}"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "{name}" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])
+{{
+    def Xform "body" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+    {{
+        float physics:mass = {mass}
+        point3f physics:centerOfMass = ({com})
+        float3 physics:diagonalInertia = ({moments})
+        quatf physics:principalAxes = ({axes})
+        def Cylinder "hull"
+        {{
+            double radius = {arm}
+            double height = {height}
+        }}
+{rotors}
+    }}
+}}
+"""
+_ROTOR = """        def Xform "rotor{i}"
+        {{
+            double3 xformOp:translate = ({place})
+            uniform token[] xformOpOrder = ["xformOp:translate"]
+        }}"""
+
+
+class Isaac:
+    """Pegasus on Isaac Sim."""
+
+    name = "isaac"
+    simulator = "Isaac Sim (Pegasus)"
+    source = "PegasusSimulator, logic/thrusters/quadratic_thrust_curve.py, logic/dynamics"
+
+    def words(self, craft: Craft) -> tuple[Word, ...]:
+        """A thrust curve per rotor and linear drag."""
+        w = Wording(craft, self.simulator)
+        quadratic_maps(w, thrust="rotor_constant", torque="rolling_moment_coefficient")
+        say_commands(w)
+        w.said("motor_lag", "commands.Rotors").said("motor_lag_asymmetry", "commands.Rotors")
+        w.said("rotor_asymmetry", "commands.Rotors scales each rotor's speed")
+        for name in ("center_of_mass_offset", "products_of_inertia", "payload_mass"):
+            w.said(name, "in the USD body")
+        fold_drag(w, "drag", wind=False)
+        return w.finish()
+
+    def files(self, craft: Craft) -> Mapping[str, str]:
+        """pegasus.yaml, NAME.usda and commands.py."""
+        n, speed = craft.count, craft.speed_max
+        moments, turn = np.linalg.eigh(craft.inertia)
+        if np.linalg.det(turn) < 0:
+            turn[:, 0] = -turn[:, 0]
+        noise = [craft.noise(names) for names in (("p", "q", "r"), ("ax", "ay", "az"))]
+        gyro, accelerometer = (
+            0.0 if s is None else float(np.sqrt(np.mean(s**2) * craft.sample_time)) for s in noise
+        )
+        arm = float(np.abs(craft.hubs[:, :2]).max())
+        yaml = _YAML.format(
+            name=craft.name,
+            mass=repr(craft.mass),
+            count=n,
+            constants=[float(craft.thrust[2]) / speed**2] * n,
+            moments=[float(craft.torque[2]) / speed**2] * n,
+            directions=[int(-s) for s in craft.spins],
+            low=[0.0] * n,
+            high=[2.0 * speed] * n,
+            drag=drag_of(craft).tolist(),
+            gyro=repr(gyro),
+            accelerometer=repr(accelerometer),
+        )
+        usd = _USD.format(
+            name=craft.name,
+            mass=repr(craft.mass),
+            com=_text(craft.center_of_mass),
+            moments=_text(moments),
+            axes=_text(_quaternion(turn)),
+            arm=repr(arm),
+            height=repr(0.3 * arm),
+            rotors="\n".join(
+                _ROTOR.format(i=i, place=_text(hub)) for i, hub in enumerate(craft.hubs)
+            ),
+        )
+        return {
+            "pegasus.yaml": yaml,
+            f"{craft.name}.usda": usd,
+            "commands.py": command_text(craft),
+        }
+
+
+def _quaternion(turn: FloatArray) -> FloatArray:
+    """(w, x, y, z) of a rotation matrix (Shepperd 1978)."""
+    diagonal = np.array([np.trace(turn), *np.diag(turn)])
+    k = int(np.argmax(diagonal))
+    if k == 0:
+        q = np.array(
+            [
+                1 + diagonal[0],
+                turn[2, 1] - turn[1, 2],
+                turn[0, 2] - turn[2, 0],
+                turn[1, 0] - turn[0, 1],
+            ]
+        )
+    else:
+        i = k - 1
+        j, m = (i + 1) % 3, (i + 2) % 3
+        q = np.zeros(4)
+        q[0] = turn[m, j] - turn[j, m]
+        q[1 + i] = 1 + turn[i, i] - turn[j, j] - turn[m, m]
+        q[1 + j] = turn[i, j] + turn[j, i]
+        q[1 + m] = turn[i, m] + turn[m, i]
+    return np.asarray(q / np.linalg.norm(q))
+
+
+def _text(values: FloatArray) -> str:
+    return ", ".join(repr(float(v)) for v in values)

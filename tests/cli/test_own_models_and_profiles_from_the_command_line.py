@@ -1,0 +1,101 @@
+"""Claim: a user's own model needs no vehicle anywhere; what a command cannot do with it is one line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.cli import main
+
+PROGRAM = """
+import greybox as gb
+S = gb.Layout([gb.Signal(name="level", unit="m")])
+def build():
+    return gb.StateSpaceModel(
+        name="tank", states=S, outputs=S, inputs=gb.Layout([gb.Signal(name="pump", unit="V")]),
+        parameters=(gb.Parameter(name="gain", unit="m/(V s)", nominal=0.1, lower=0.0, scale=0.1),
+                    gb.Parameter(name="leak", unit="1/s", nominal=0.2, lower=0.0, scale=0.1)),
+        dynamics=lambda t, x, u, p: [p["gain"] * u[0] - p["leak"] * x[0]], measurement=lambda t, x, u, p: [x[0]],
+        sensor_sigma={"level": 0.01},
+    )
+"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tank")
+    (folder / "tank.py").write_text(PROGRAM)
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        pump = np.repeat(rng.uniform(0, 2, 20), 20)
+        level, rows = 0.0, []
+        for k, u in enumerate(pump):
+            rows.append((0.1 * k, u, level + 0.01 * rng.standard_normal()))
+            level += 0.1 * (0.3 * u - 0.5 * level)
+        np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="t,pump,level", comments="")
+    fit = ["fit", "--model-file", f"{folder}/tank.py:build", "--train", f"{folder}/a.csv", "--test", f"{folder}/b.csv"]
+    assert main(["--quiet", *fit, "--out", f"{folder}/fit"]) == 0
+    return folder
+
+
+def test_the_fit_is_judged_on_the_test_record_and_comes_back_by_load(bench: Path) -> None:
+    content = json.loads((bench / "fit" / "fit.json").read_text())
+    assert content["verdict"]["outcome"] == "usable"
+    assert content["verdict"]["judged_on"].startswith("flights that it was not")
+    assert abs(content["parameters"]["leak"]["value"] - 0.5) < 0.03
+    assert (bench / "fit" / "report.html").read_text().count("level") > 3
+    model = gb.load(bench / "fit" / "model.json")
+    assert isinstance(model, gb.IdentifiedModel) and model.name == "tank"
+
+
+def test_profiles_give_intervals_with_the_truth_inside(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = ["profile", f"{bench}/fit/model.json", "--train", f"{bench}/a.csv", "--of", "leak,gain", "--out", f"{bench}/p"]
+    assert main(model) == 0
+    assert "leak: 0." in capsys.readouterr().out
+    found = {p["name"]: p for p in json.loads((bench / "p" / "profile.json").read_text())["profiles"]}
+    # The simulated step is Euler's, the model's Runge-Kutta's: rates differ by a little.
+    assert found["leak"]["lower"] < 0.513 and found["leak"]["upper"] > 0.5
+    assert found["leak"]["lower"] < found["leak"]["estimate"] < found["leak"]["upper"] and not found["leak"]["at_bound"]
+    assert main([*model[:2], "--train", f"{bench}/b.csv", "--of", "leak", "--out", f"{bench}/p"]) == 2
+    assert "not the flights of the fit" in capsys.readouterr().err
+
+
+def test_planned_inputs_keep_ranges_and_limits(bench: Path) -> None:
+    plan = ["--quiet", "plan", "--model", f"{bench}/fit/model.json", "--range", "pump=0,2", "--limit", "level=-1,1"]
+    assert main([*plan, "--seconds", "40", "--piece", "10", "--out", f"{bench}/plan"]) == 0
+    columns = np.genfromtxt(bench / "plan" / "experiment_1.csv", delimiter=",", names=True)
+    assert columns["pump"].min() >= 0 and columns["pump"].max() <= 2 and np.ptp(columns["pump"]) > 0.5
+    assert columns["level"].max() <= 1.0 and len(columns) == 400
+    content = json.loads((bench / "plan" / "plan.json").read_text())
+    assert content["efficiency"] > 0.8 and all(p["std"] < 0.01 for p in content["parameters"].values())
+
+
+WRONG = {
+    "fit without a model": (["fit", "--train", "{b}/a.csv"], "one of --vehicle and --model-file"),
+    "effects on an own model": (
+        ["fit", "--model-file", "{b}/tank.py:build", "--effects", "motor_lag", "--train", "{b}/a.csv"], "for vehicles",
+    ),
+    "a log without its columns": (["validate", "{b}/fit/model.json", "--log", "{b}/c.csv"], "unknown column 'level'"),
+    "another program": (
+        ["validate", "{b}/fit/model.json", "--log", "{b}/a.csv", "--model-file", "{b}/other.py:build"], "is not the model",
+    ),
+    "no range": (["plan", "--model-file", "{b}/tank.py:build", "--rate", "10"], "no range of the input pump"),
+    "a course": (["mpc", "{b}/fit/model.json"], "flown by vehicles"),
+    "a place": (["learn", "{b}/fit/model.json", "--train", "{b}/a.csv", "--place"], "feature of vehicles"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_done_is_one_line(case: str, bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (bench / "c.csv").write_text("t,pump\n0,1\n0.1,1\n0.2,1\n0.3,1\n")
+    (bench / "other.py").write_text(PROGRAM.replace("0.1, lower", "0.15, lower"))
+    words, said = WRONG[case]
+    out = [] if words[0] == "validate" else ["--out", str(tmp_path / "out")]
+    assert main([*(w.format(b=bench) for w in words), *out]) == 2
+    line = capsys.readouterr().err.strip().splitlines()
+    assert said in line[-1] and line[-1].startswith(f"greybox {words[0]}:")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,73 @@
+"""Every line of C that greybox writes into an export itself compiles without a warning under gcc and clang, and as C++.
+
+CasADi's own generated functions are excepted (unused parameters, numbers as truth values); they compile
+as C++ all the same.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from mpc_export.bundle import _kernels
+from mpc_export.c_code import RESTRICT, single_precision, write_c
+from mpc_export.c_kernels_products import PRODUCTS
+from mpc_export.c_model import CModel
+from mpc_export.functions import model_functions
+from mpc_export.golden import golden_vectors
+from tests.mpc_export import cases
+
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+C = [(cc, "-std=c99") for cc in ("gcc", "clang")]
+CPP = [(cc, "-x", "c++", "-std=c++17") for cc in ("g++", "clang++")]
+
+
+@pytest.fixture(scope="module")
+def functions():
+    return model_functions(cases.hybrid(), with_=("filter",))
+
+
+def complaints(source: Path, compiler: tuple[str, ...], *flags: str) -> str:
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"{compiler[0]} is not installed")
+    done = subprocess.run(
+        [*compiler, *flags, "-fsyntax-only", str(source)], capture_output=True, text=True, check=False
+    )
+    return done.stderr[:3000] if done.returncode or done.stderr else ""
+
+
+@pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_kernels_and_products(functions, tmp_path, real, compiler):
+    integer = "long long int" if real == "double" else "int"
+    parts = [RESTRICT, "#include <math.h>", f"#define casadi_real {real}", f"#define casadi_int {integer}"]
+    shared: dict[str, str] = {}
+    bodies = []
+    for k, kernel in enumerate(_kernels(functions)):
+        more, body = kernel.c_source(f"kernel_{k}", real)
+        shared |= more
+        bodies.append(body)
+    text = "\n".join([*PRODUCTS.values(), *shared.values(), *bodies])
+    source = tmp_path / "own.c"
+    source.write_text("\n".join([*parts, text if real == "double" else single_precision(text)]) + "\n")
+    assert bodies
+    assert complaints(source, compiler, *WARNINGS, "-Wno-unused-function") == ""
+
+
+@pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
+def test_wrapper_and_self_test(functions, tmp_path, compiler):
+    golden = golden_vectors(functions, 2)
+    made = write_c(list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions))
+    CModel(functions, made, "0", golden).write(tmp_path)
+    for name in ("quad_model.c", "quad_selftest.c"):
+        assert complaints(tmp_path / name, compiler, *WARNINGS) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compiler", C + CPP, ids=lambda c: c[0])
+def test_the_whole_export_is_c_and_cpp(functions, tmp_path, compiler):
+    made = write_c(list(functions.functions.values()), tmp_path, prefix="quad", kernels=_kernels(functions))
+    assert complaints(made.source, compiler, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-unused-parameter") == ""

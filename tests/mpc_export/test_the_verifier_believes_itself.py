@@ -1,0 +1,112 @@
+"""`python -m mpc_export.verify` judges by its own limits, scales and list of files, and always ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+
+import pytest
+
+from mpc_export import verify
+from mpc_export.bundle import ExportBundle, is_bundle, write_bundle
+from tests.mpc_export import cases
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return write_bundle(cases.linear(), tmp_path_factory.mktemp("good") / "box", use_cache=False).folder
+
+
+@pytest.fixture
+def bundle(good, tmp_path):
+    shutil.copytree(good, tmp_path / "box")
+    return tmp_path / "box"
+
+
+def change(folder, what):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    what(manifest)
+    manifest["checksum"] = verify.seal(manifest)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def wrong_golden(folder):
+    """One result of one golden point is another, and the manifest's checksum fits."""
+    path = folder / "golden" / "f_d.csv"
+    rows = path.read_text().splitlines()
+    cells = rows[1].split(",")
+    cells[-1] = repr(float(cells[-1]) + 1e-3)
+    rows[1] = ",".join(cells)
+    path.write_text("\n".join(rows) + "\n")
+    from hashlib import sha256
+
+    change(folder, lambda m: m["files"].update({"golden/f_d.csv": sha256(path.read_bytes()).hexdigest()}))
+
+
+def test_a_good_bundle_passes_and_a_wrong_number_does_not(bundle):
+    assert verify.main([str(bundle)]) == 0
+    wrong_golden(bundle)
+    assert verify.main([str(bundle)]) == 1
+
+
+def test_a_bundle_cannot_widen_what_it_is_judged_by(bundle, capsys):
+    wrong_golden(bundle)
+    change(bundle, lambda m: m.update(tolerance=1e9))
+    assert verify.main([str(bundle)]) == 1
+    assert "FAILED" in capsys.readouterr().out
+
+    def scales(manifest):
+        for function in manifest["functions"]:
+            for port in function["results"]:
+                port["scale"] = 1e9
+
+    change(bundle, scales)
+    assert verify.main([str(bundle)]) == 1
+    assert "scale" in capsys.readouterr().err
+
+
+def test_a_file_that_the_manifest_does_not_list_is_named(bundle, capsys):
+    (bundle / "c" / "evil.h").write_text("#define sin cos\n")
+    assert verify.main([str(bundle), "--no-c"]) == 1
+    assert "not of the export: c/evil.h" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "golden/f_d.csv", "python/rebuild.py", "c/new"])
+@pytest.mark.parametrize("kind", ["pipe", "link", "device"])
+def test_pipes_links_and_devices_are_refused_and_not_waited_for(bundle, name, kind, capsys):
+    path = bundle / name
+    path.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero" if kind == "device" else "box.c")
+    begin = time.monotonic()
+    assert verify.main([str(bundle)]) in (1, 2)
+    assert time.monotonic() - begin < 20
+    assert "not a regular file" in capsys.readouterr().err
+
+
+def test_greybox_does_not_wait_for_a_pipe_either(bundle):
+    (bundle / "manifest.json").unlink()
+    os.mkfifo(bundle / "manifest.json")
+    assert not is_bundle(bundle)
+    with pytest.raises(Exception, match="not a file"):
+        ExportBundle.load(bundle)
+
+
+def test_too_much_is_not_read(bundle, capsys, monkeypatch):
+    with open(bundle / "golden" / "f_d.csv", "r+b") as stream:
+        stream.truncate(verify.LARGEST + 1)
+    assert verify.main([str(bundle)]) == 1
+    assert "at most" in capsys.readouterr().err
+
+
+def test_a_compiler_that_never_ends_is_stopped(bundle, tmp_path, monkeypatch, capsys):
+    cc = tmp_path / "cc"
+    cc.write_text("#!/bin/sh\nexec sleep 1000\n")
+    cc.chmod(0o755)
+    monkeypatch.setattr(verify, "SECONDS", 0.5)
+    assert verify.main([str(bundle), "--cc", str(cc)]) == 1
+    assert "did not end" in capsys.readouterr().err

@@ -1,0 +1,63 @@
+"""Claim: a GP on the errors of a model is kept only where it foretells left-out flights better than the model itself does.
+
+Where it is kept its stated noise is that of left-out flights; where not, the hybrid is the model, mean and variance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.residual.kernels import Kernel
+from greybox.residual.left_out import judged_on_left_out
+from greybox.residual.posterior import Domain, GPPosterior
+from greybox.residual.sparse import collapsed
+from greybox.symbolic import FloatArray, Layout, Signal
+
+OWN = np.array([0.1**2, 0.1**2])
+
+
+def trained(z: FloatArray, y: FloatArray, noise: float) -> GPPosterior:
+    """Two outputs from one input, weights from all rows, with a stated noise variance that may be wrong."""
+    kernel = Kernel(family="se", lengthscales=np.array([0.7]), variance=1.0)
+    support = np.linspace(-2, 2, 12)[None]
+    numbers = [collapsed(kernel, support, z.T, y[:, j], 0.01) for j in range(2)]
+    return GPPosterior(
+        inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([Signal(name=n, unit="m") for n in "ab"]), method="sgpr",
+        kernels=(kernel, kernel), input_mean=np.zeros(1), input_scale=np.ones(1), output_mean=np.zeros(2),
+        output_scale=np.ones(2), support=support.T, weights=np.stack([n.weights for n in numbers], axis=1),
+        explained=np.stack([n.explained for n in numbers]), uncertain=np.stack([n.uncertain for n in numbers]),
+        noise=np.full(2, noise), domain=Domain(lower=np.full(1, -2.0), upper=np.full(1, 2.0), samples=len(z)),
+    )  # fmt: skip
+
+
+def rows(seed: int = 0, n: int = 400) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Output a bends with u; output b is noise whose mean wanders from flight to flight, which no feature tells."""
+    rng = np.random.default_rng(seed)
+    flight = np.repeat(np.arange(5), n // 5)
+    z = rng.uniform(-2, 2, (n, 1)) * 0.15 + 0.6 * (flight[:, None] - 2)
+    wander = rng.choice([-0.08, 0.08], 5)[flight]
+    y = np.stack([0.3 * np.sin(2 * z[:, 0]), wander], axis=1) + 0.05 * rng.standard_normal((n, 2))
+    return z, y, flight
+
+
+def test_what_bends_is_kept_and_what_wanders_is_refused() -> None:
+    z, y, flight = rows()
+    found, scores = judged_on_left_out(trained(z, y, 0.0025), z, y, flight, OWN)
+    assert found.active[1] is False and scores[1]["gain"] <= scores[1]["nlpd_model"] + 10
+    mean, variance = found.evaluate(z[:5], noise=True)
+    assert np.array_equal(mean[:, 1], np.zeros(5)) and np.allclose(variance[:, 1], OWN[1], rtol=1e-12)
+    assert scores[0].keys() >= {"nlpd", "nlpd_model", "gain"}
+
+
+def test_a_noise_that_is_stated_too_large_is_set_right() -> None:
+    rng = np.random.default_rng(1)
+    flight = np.repeat(np.arange(5), 80)
+    z = rng.uniform(-2, 2, (400, 1))
+    y = np.stack([0.3 * np.sin(2 * z[:, 0])] * 2, axis=1) + 0.05 * rng.standard_normal((400, 2))
+    found, scores = judged_on_left_out(trained(z, y, 0.04), z, y, flight, OWN)
+    assert found.active == (True, True) and all(s["gain"] > 0 for s in scores)
+    assert (found.noise < 0.0035).all()
+    new = rng.uniform(-2, 2, (2000, 1))
+    mean, variance = found.evaluate(new, noise=True)
+    seen = 0.3 * np.sin(2 * new[:, 0]) + 0.05 * rng.standard_normal(2000)
+    assert 0.92 < np.mean(np.abs(seen - mean[:, 0]) < 1.96 * np.sqrt(variance[:, 0])) < 0.98

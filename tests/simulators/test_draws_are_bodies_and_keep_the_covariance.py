@@ -1,0 +1,92 @@
+"""Every draw is a body that can be, draws repeat the posterior's means, spreads and correlations,
+and what was held stays."""
+
+from __future__ import annotations
+
+import io
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.errors import DataError
+from greybox.model.identified import IdentifiedModel
+from greybox.simulators.draws import Draws, draw
+from tests.simulators.identified import identified
+
+NAMES = ("inertia.xx", "inertia.yy", "inertia.zz", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
+
+
+def uncertain(sigmas: tuple[float, ...], correlation: float = 0.6) -> IdentifiedModel:
+    model = identified({"motor_lag.tau": 0.05, "rotor_drag.k_x": 2e-5, "rotor_drag.k_y": 2e-5})
+    size = np.array([model.values[n] for n in NAMES]) * np.array(sigmas)
+    c = np.outer(size, size) * (correlation + (1 - correlation) * np.eye(len(size)))
+    return replace(
+        model,
+        covariance_names=NAMES,
+        covariance=c,
+        flight_spread={"mass": (1.0, 0.02)},
+    )
+
+
+def moments(draws: Draws) -> np.ndarray:
+    return np.array([np.linalg.eigvalsh(draws.one(i).inertia) for i in range(len(draws))])
+
+
+def test_draws_of_a_wide_posterior_are_all_bodies() -> None:
+    draws = draw(uncertain((0.4, 0.4, 0.4, 0.3, 0.4, 0.9), correlation=0.0), 2000, seed=1)
+    j = moments(draws)
+    assert (j[:, 0] > 0).all()
+    assert (j[:, 2] < j[:, 0] + j[:, 1]).all()
+    for name in ("thrust.c2", "motor_lag.tau", "rotor_drag.k_x", "mass"):
+        assert (draws.column(name) >= 0).all()
+    assert (draws.column("rotor_drag.k_x") == 0).any(), "a wide one is cut at its bound"
+
+
+def test_a_narrow_posterior_comes_back() -> None:
+    model = uncertain((0.03, 0.03, 0.03, 0.02, 0.04, 0.05))
+    draws = draw(model, 20_000, seed=2)
+    columns = np.array([draws.column(n) for n in NAMES])
+    np.testing.assert_allclose(columns.mean(axis=1), [model.values[n] for n in NAMES], rtol=5e-3)
+    expected = np.sqrt(np.diag(model.covariance))
+    np.testing.assert_allclose(columns.std(axis=1), expected, rtol=0.03)
+    np.testing.assert_allclose(np.corrcoef(columns)[0, 1:], 0.6, atol=0.03)
+    assert draws.column("mass").std() == pytest.approx(0.02, rel=0.03)
+    assert np.ptp(draws.column("torque.c2")) == 0.0, "held"
+    assert set(draws.drawn) == {*NAMES, "mass"}
+
+
+def test_a_flat_craft_is_not_drawn_wider_than_it_is_known() -> None:
+    model = uncertain((0.2, 0.2, 0.2, 0.1, 0.1, 0.1), correlation=0.0)
+    flat = {"inertia.xx": 0.01, "inertia.yy": 0.0105, "inertia.zz": 0.0195}
+    model = replace(model, values=model.values.replace(flat))
+    draws = draw(model, 4000, seed=3)
+    j = moments(draws)
+    assert (j[:, 2] < j[:, 0] + j[:, 1]).all()
+    for name, value in flat.items():
+        sigma = np.sqrt(model.covariance[NAMES.index(name), NAMES.index(name)])
+        assert draws.column(name).std() < 1.05 * sigma
+        assert abs(draws.column(name).mean() - value) < sigma
+
+
+def test_a_seed_repeats_and_the_files_hold_the_draws() -> None:
+    model = uncertain((0.1,) * 6)
+    one, two = draw(model, 50, seed=7), draw(model, 50, seed=7)
+    np.testing.assert_array_equal(one.values, two.values)
+    assert not np.array_equal(one.values, draw(model, 50, seed=8).values)
+    files = one.files()
+    found = np.load(io.BytesIO(bytes(files["draws/draws.npz"])))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found["values"], one.values)
+    cf = np.load(io.BytesIO(bytes(files["draws/crazyflow.npz"])))  # type: ignore[arg-type]
+    np.testing.assert_allclose(cf["J"] @ cf["J_inv"], np.tile(np.eye(3), (50, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(1.0 / cf["rotor_dyn_coef"][:, 0], one.column("motor_lag.tau"))
+    ranges = tomllib.loads(str(files["draws/ranges.toml"]))
+    low, high = ranges["thrust.c2"]["low"], ranges["thrust.c2"]["high"]
+    inside = (one.column("thrust.c2") >= low) & (one.column("thrust.c2") <= high)
+    assert 0.92 <= inside.mean() <= 0.97
+
+
+def test_no_draws_are_refused() -> None:
+    with pytest.raises(DataError, match="number of draws"):
+        draw(uncertain((0.1,) * 6), 0)

@@ -1,0 +1,74 @@
+"""The command offers exactly the targets there are, every target has its own name, and each of the
+files that they write parses in its own format."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+import greybox as gb
+from greybox.commands.twin import NAMES
+from greybox.files import OutputError
+from greybox.model.example import example_vehicle
+from greybox.simulators.craft import Craft
+from greybox.simulators.targets import TARGETS
+from tests.simulators.identified import identified
+
+NAME = "né \"<Craft> & \\ 'x' 7\""
+
+
+def test_the_command_offers_every_target() -> None:
+    assert tuple(t.name for t in TARGETS) == NAMES
+    assert all(t.simulator and t.source for t in TARGETS)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("twin")
+    model = identified({"motor_lag.tau": 0.05}, replace(example_vehicle(), name=NAME))
+    made = gb.twin(model, out=out)
+    assert {s.target for s in made.statements} == set(NAMES)
+    return out
+
+
+def test_every_file_parses_whatever_the_craft_is_called(folder: Path) -> None:
+    parsed = 0
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in (".xml", ".sdf", ".urdf"):
+            ElementTree.parse(path)
+        elif path.suffix == ".toml":
+            tomllib.loads(path.read_text())
+        elif path.suffix == ".py":
+            compile(path.read_text(), str(path), "exec")
+        elif path.suffix == ".json":
+            json.loads(path.read_text())
+        else:
+            continue
+        parsed += 1
+    assert parsed > 15
+
+
+def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
+    schema = json.loads(resources.files("greybox.schemas").joinpath("twin.json").read_text())
+    jsonschema.validate(json.loads((folder / "twin.json").read_text()), schema)
+
+
+def test_files_that_exist_stay_unless_forced(folder: Path) -> None:
+    model = identified({"motor_lag.tau": 0.06})
+    before = (folder / "rotorpy" / "vehicle.py").read_text()
+    with pytest.raises(OutputError, match="exist"):
+        gb.twin(model, ["rotorpy"], out=folder)
+    assert (folder / "rotorpy" / "vehicle.py").read_text() == before
+    gb.twin(model, ["rotorpy"], out=folder, force=True)
+    assert (folder / "rotorpy" / "vehicle.py").read_text() != before
+
+
+def test_a_name_becomes_an_identifier() -> None:
+    assert Craft.of(identified({}, replace(example_vehicle(), name=NAME))).name.isidentifier()
