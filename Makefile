@@ -70,7 +70,7 @@ docs: $(STAMP)
 	$(BIN)/python -m scenarios.studies.docs_reference > docs/reference.new && mv docs/reference.new docs/reference.md
 	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
-# The documentation as a site that opens from site/index.html and needs no network.
+# The documentation as a site that asks nothing of a network: python -m http.server -d site
 site: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --site-dir site
 

@@ -219,6 +219,7 @@ class _Writer:
         self.lines += [
             f"static int {self.symbol}(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w,",
             "    int mem) {",
+            "  (void)arg; (void)res; (void)iw; (void)w; (void)mem;",
         ]
         kernels = self.gp.kernels
         if self.of.active or (self.second and not self.of.silent and any(k.slopes is not None for k in kernels)):

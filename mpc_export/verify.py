@@ -14,7 +14,6 @@ import argparse
 import csv
 import ctypes
 import hashlib
-import importlib.util
 import json
 import os
 import re
@@ -84,7 +83,8 @@ def check_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
         there.append(path.relative_to(folder).as_posix())
         if total > LARGEST or len(there) > MOST_FILES:
             raise VerifyError(f"{folder}: more than {LARGEST} bytes or {MOST_FILES} files")
-    return sorted(n for n in {*there} - {*manifest["files"], "manifest.json"} if not n.startswith("build/"))
+    own = {*there} - {*manifest["files"], "manifest.json"}
+    return sorted(n for n in own if not n.startswith("build/") and "__pycache__/" not in n)
 
 
 def check_names(manifest: Mapping[str, Any]) -> None:
@@ -149,7 +149,9 @@ def check_scales(folder: Path, manifest: Mapping[str, Any]) -> None:
             largest = [max(m, *map(abs, r)) if r else m for m, r in zip(largest, results, strict=True)]
         for port, own in zip(function["results"], largest, strict=True):
             if not 0 < port["scale"] <= own * (1 + 1e-9):
-                raise VerifyError(f"{function['name']}: scale {port['scale']:g} of {port['name']}, the results have {own:g}")
+                raise VerifyError(
+                    f"{function['name']}: damaged: scale {port['scale']:g} of {port['name']}, the results have {own:g}"
+                )
 
 
 # ---------------------------------------------------------------------------------------------------- C
@@ -256,12 +258,15 @@ def verify_functions(folder: Path, manifest: Mapping[str, Any], functions: Mappi
 
 def load_rebuild(folder: Path) -> dict[str, Any]:
     """The functions of python/, with the bundle's own interpreter."""
-    spec = importlib.util.spec_from_file_location("bundle_rebuild", folder / "python" / "rebuild.py")
-    if spec is None or spec.loader is None:
-        raise VerifyError(f"{folder}: python/rebuild.py cannot be read")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return dict(module.load(folder / "python"))
+    path = folder / "python" / "rebuild.py"
+    # The source itself: what Python may have cached beside it is no part of the bundle.
+    try:
+        code = compile(path.read_bytes(), str(path), "exec")
+    except (OSError, SyntaxError, ValueError) as error:
+        raise VerifyError(f"{folder}: python/rebuild.py cannot be read ({type(error).__name__})") from None
+    names: dict[str, Any] = {"__name__": "bundle_rebuild", "__file__": str(path)}
+    exec(code, names)
+    return dict(names["load"](folder / "python"))
 
 
 def verify_casadi(folder: Path, manifest: Mapping[str, Any]) -> dict[str, dict[str, float]]:

@@ -478,8 +478,9 @@ class _Decider:
                 self._note(
                     "filter of the IMU",
                     ", ".join(described(p, again.likelihood) for p in offered),
-                    f"its innovations are not white, and BIC falls by {gain:.0f}; left out it would "
-                    "look like more lag of the motors",
+                    f"its innovations are not white, and BIC falls by {gain:.0f}"
+                    f"{' together with a late pose' if steps != first.steps else ''}; left out it "
+                    "would look like more lag of the motors",
                     "--noise-parts",
                 )
                 return own, again

@@ -178,8 +178,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _go_on(arguments: argparse.Namespace) -> int:
     """Multiply the evidence of the names of an earlier search by that of further flights."""
+    from greybox.data.checks import check_logs
     from greybox.discovery.further import further
-    from greybox.errors import GreyboxError
+    from greybox.errors import DataError, GreyboxError
     from greybox.files import dump_json, read_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
@@ -195,9 +196,15 @@ def _go_on(arguments: argparse.Namespace) -> int:
     own = [e for path in files for e in load_effects(path)]
     model = IdentifiedModel.load(folder / "model.json", effects=own)
     rate = arguments.rate or 1 / model.sample_time
+    faults = check_logs(logs, model.physics.vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept))
+    if not faults.ok:
+        first = faults.blocking[0]
+        raise DataError(f"{first.flight}: {first.message}", fix="greybox check says more; --accept NAME overrules it")
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
     content = further(content, model, data, own)
     out = Path(arguments.out or folder)
+    if out != folder:
+        write_atomic(out / "model.json", (folder / "model.json").read_bytes())
     write_json(out / "discovery.json", content)
     title = f"What the model of {model.physics.vehicle.name} misses"
     write_atomic(out / "report.html", discover_report(content, title=title))

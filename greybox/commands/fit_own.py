@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from greybox.estimation.result import Fit
     from greybox.validation.result import Validation
 
-OF_VEHICLES = {
+OF_VEHICLES: dict[str, object] = {
     "effects": None, "effects_file": [], "kinematic_noise": None, "keep_impossible": False, "all_flights": False,
 }  # fmt: skip
 """Options that only a vehicle has, with the value that says nothing."""

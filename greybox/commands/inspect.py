@@ -203,7 +203,14 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         whole = good["fit"] or good["speed_input"]
         none = "nothing under these names (see LOOKS LIKE and NEXT)" if content["looks_like"] else "nothing"
         lines.append(
-            "  fits: " + ((", ".join(k for k in ("rotation", "translation") if good[k]) or none) if whole else "no")
+            "  fits: "
+            + (
+                (", ".join(k for k in ("rotation", "translation") if good[k]) or none)
+                if whole
+                else none
+                if content["looks_like"]
+                else "no"
+            )
             + (", also with rotor speeds as the input" if good["speed_input"] else "")
         )  # fmt: skip
         if whole and good["predictor"] == "kalman":

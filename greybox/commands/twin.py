@@ -145,8 +145,16 @@ def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
 def _flights(model: Any, logs: list[str]) -> Any:
     """Logs of the model's vehicle at its rate."""
     from greybox.data.logs import read_logs
+    from greybox.errors import DataError
 
-    return read_logs(logs, model.physics.vehicle, rate=1.0 / model.sample_time)
+    flights = read_logs(logs, model.physics.vehicle, rate=1.0 / model.sample_time)
+    if seen := sorted(set(flights.names) & set(model.trained_on)):
+        raise DataError(
+            f"{', '.join(seen)} took part in the fit",
+            expected="--check flights that no fit saw",
+            fix="give other flights",
+        )
+    return flights
 
 
 def _compare(arguments: argparse.Namespace) -> int:

@@ -37,6 +37,9 @@ MARGIN = 5.0
 """Times the change that motion explains from which a single sample stands apart."""
 SPIN_UP = 0.1
 """Time [s] in which a motor reaches its top speed: a fifth of it with the margin."""
+SPIKES = 0.05
+"""Share of a channel's samples up to which they are spikes; more is a fault of the channel (a unit, a
+scale), which stays for the data-fault check to name."""
 SAG = 0.04
 """Change of a battery's voltage, as a share of it: a fifth with the margin."""
 
@@ -51,7 +54,7 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
     top = vehicle.actuator.speed_max if isinstance(vehicle.actuator, TopSpeed) else None
 
     def drop(names: tuple[str, ...], bad: BoolArray, values: FloatArray, reason: str) -> None:
-        if not bad.any():
+        if not bad.any() or bad.sum() > max(1.0, SPIKES * bad.size):
             return
         at = np.flatnonzero(bad)
         for n in names:

@@ -15,7 +15,9 @@ denominator alone. The e-value of a name is therefore the mean of this one and o
 in which both sides integrate what they share over what D1 taught, as group invariance allows
 (Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has in
 the place of c is taken at its worst: `regret` is the supremum over D2 against the integral. Where the
-first alone decides the second is not worked out, and counts as nothing. The e-value of a name is
+first alone decides the second is not worked out, and counts as nothing. Evidence is Laplace's
+approximation and the invariance that of a linear model, so that for a vehicle the bound holds as
+well as these do, and not in finite samples. The e-value of a name is
 that against its strongest rival. Without D2 flights are halved, and the mean of both ways is an
 e-value, too.
 """
@@ -23,7 +25,7 @@ e-value, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,6 +47,9 @@ class Certificate:
     log_e: float
     against: tuple[str, ...]
     rivals: Mapping[tuple[str, ...], float]
+    evidence: Mapping[tuple[str, ...], float] = field(default_factory=dict)
+    """Rival -> its log evidence on the flights that taught, less that of the name: even-handed,
+    where the e-value is against the name."""
 
     def beaten(self, bar: float) -> bool:
         """Whether every rival is beaten by the `bar`."""
@@ -133,7 +138,10 @@ def certificates(
             found[rival.instead] = _log_e(at, rival, own, judges, bar)
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
-        out[name] = Certificate(name=name, log_e=log_e, against=strongest, rivals=found)
+        evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
+        out[name] = Certificate(
+            name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence
+        )
     return out
 
 
@@ -145,20 +153,31 @@ def _log_e(
     bar: float,
 ) -> float:
     """Log e-value against one rival; below it where the strict one alone decides."""
+    if not all(_found(*fits) for fits in own):  # a fit that stopped early may be too likely or not
+        return -np.inf
     gained = [both.log_evidence - first.log_evidence for first, both in own]
     known = rival.fitted.known
     start = [known, {**at.known, **known}]
     worst = [s.judge.fit(rival.fitted.structure, start) for s in judges]
-    strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
+    strict = -np.inf
+    if _found(*worst):
+        strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
     if strict >= bar + np.log(2):
         return strict - float(np.log(2))
     told = []
     for g, split in zip(gained, judges, strict=True):
         first, both = _predictive(rival.fitted, at, split)
+        if not _found(first, both):
+            return _mean([strict, -np.inf])
         keys = _keys(both, split, rival.instead)
         lost = both.log_evidence - first.log_evidence
         told.append(g - lost - (regret(first, both, keys) if keys else 0.0))
     return _mean([strict, _mean(told)])
+
+
+def _found(*fits: Fitted) -> bool:
+    """Whether fits ended at their optima: only then is a supremum one, and evidence evidence."""
+    return all(f.comparable for f in fits)
 
 
 def _mean(logs: Sequence[float]) -> float:

@@ -1,8 +1,9 @@
 """Further: more flights multiply the evidence of names that were found before.
 
 New flights D judge the structure S that a search ended with, its posterior as the prior, against the
-structure without a name and against that name's strongest rival, both fitted to D at their worst
-(universal inference, see `greybox.discovery.certificate`):
+structure without a name and against that name's strongest rival, both fitted to D at their worst;
+of what was known each number's own error counts, not how the errors go together (universal
+inference, see `greybox.discovery.certificate`):
 
     E = p(D | S, what was known) / sup p(D | R, theta).
 
@@ -27,6 +28,8 @@ from greybox.errors import DataError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import layers
+from greybox.model.noise import Augmented, SensorPart
 
 
 @threadpool_limits.wrap(limits=1)
@@ -48,6 +51,12 @@ def further(
     names = [e["name"] for e in content["effects"]]
     if not names:
         raise DataError("no name to go on with", fix="greybox discover with all flights")
+    noise = [layer for layer in layers(model.dynamics) if isinstance(layer, Augmented)]
+    if any(isinstance(p, SensorPart) for layer in noise for p in layer.parts):
+        raise DataError(
+            "the model has coloured or filtered sensors, with which further flights are not judged yet",
+            fix="greybox discover with all flights",
+        )
     known = since(model)
     vehicle = model.physics.vehicle
     causes = offer(
@@ -71,7 +80,7 @@ def further(
         total = effect["log10_e"] + new
         enough = total >= content["bar_log10_e"]
         status = "certified" if enough else effect["status"]
-        if not enough and status == "certified":
+        if not enough and (status == "certified" or total < 0.0):
             status = "not certified"
         effects.append({**effect, "log10_e": total, "status": status, "further": new})
     kept = [e for e in effects if e["status"] != "not certified"]
@@ -86,7 +95,7 @@ def further(
         "not_certified": [*content["not_certified"], *lost],
         "tested_on": [*content["tested_on"], *data.names],
         "line": _line(kept),
-        "verdict": content["verdict"] if kept or content["ambiguous"] else "nothing_missing",
+        "verdict": _verdict(content, kept),
     }
 
 
@@ -95,6 +104,15 @@ def _rivals(structure: Structure, effect: Mapping[str, Any], offered: Iterable[s
     left = structure - {effect["name"]}
     instead = frozenset(str(effect["against"]).split(" + "))
     return [left, left | instead] if instead <= set(offered) else [left]
+
+
+def _verdict(content: Mapping[str, Any], kept: Iterable[Mapping[str, Any]]) -> str:
+    """As of a search: the first of named, ambiguous and unnamed that there is."""
+    if any(e["status"] in ("certified", "supported") for e in kept):
+        return "named"
+    if content["ambiguous"]:
+        return "ambiguous"
+    return "unnamed" if content["unnamed"] else "nothing_missing"
 
 
 def _without_numbers(effect: Mapping[str, Any]) -> dict[str, Any]:

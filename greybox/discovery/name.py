@@ -61,8 +61,8 @@ def judged(
     status: Status
     reason, shares = "", dict[str, float]()
     if dropped < bar:
-        foretells = worth is not None and worth.log_e >= -np.log(alpha) and worth.matters
-        status = "supported" if foretells and not alike else "not certified"
+        foretells = worth is not None and worth.log_e >= bar and worth.matters
+        status = "supported" if dropped >= 0 and foretells and not alike else "not certified"
         reason = f"log10 e {dropped / LOG10:.1f} of {bar / LOG10:.1f} that a name needs"
     elif impossible:
         status, reason = "impossible", impossible
@@ -87,9 +87,10 @@ def judged(
 def _shares(
     certificate: Certificate, alike: Sequence[tuple[str, ...]], price: float
 ) -> dict[str, float]:
-    """Probability of every set: by what the flights that judged say, and the log prior odds `price`
-    against each cause that a set has more."""
-    own = [-certificate.rivals[r] - price * (len(r) - 1) for r in alike]
+    """Probability of every set: by the evidence of the flights that taught, which favours no side
+    as an e-value does, and the log prior odds `price` against each cause that a set has more."""
+    told = certificate.evidence
+    own = [told.get(r, -certificate.rivals[r]) - price * (len(r) - 1) for r in alike]
     logs = np.array([0.0, *own])
     weights = np.exp(logs - np.logaddexp.reduce(logs))
     names = (certificate.name, *("+".join(r) for r in alike))

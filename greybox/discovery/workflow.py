@@ -29,7 +29,7 @@ from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.result import Discovery
 from greybox.discovery.search import Search
 from greybox.discovery.worth import worth
-from greybox.errors import DataError, GreyboxError, UnknownNameError
+from greybox.errors import DataError, GreyboxError, ModelError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
@@ -69,8 +69,16 @@ def discover(
     """
     began = time.perf_counter()
     options = DiscoverOptions.of(options, choices)
+    if not isinstance(vehicle, Vehicle):
+        raise ModelError(
+            "discover names what the model of a vehicle misses",
+            expected="a vehicle (gb.read_vehicle)",
+            got=type(vehicle).__name__,
+            fix="for a model of your own: gb.learn says whether anything is left",
+        )
     tested = test if test is not None and test.flights else None
     settings = _settings(options)
+    _disjoint(train, tested)
     if faults is None:
         faults = check(train if tested is None else train + tested, vehicle)
     if not faults.ok:
@@ -147,6 +155,18 @@ def refused(
         seconds=seconds,
         settings=dict(settings or {}),
     )
+
+
+def _disjoint(train: Dataset, test: Dataset | None) -> None:
+    """Raise `DataError` for a flight that would judge what it proposed."""
+    taught = {f.sha256 for f in train if f.sha256}
+    for f in () if test is None else test:
+        if f.sha256 in taught or any(f is g for g in train):
+            raise DataError(
+                f"flight {f.name} is both train and test",
+                expected="test flights that did not propose",
+                fix="give every flight to one of the two",
+            )
 
 
 def _long_enough(train: Dataset) -> None:
@@ -307,6 +327,10 @@ class _Run:
 
     def _gap(self, null: Fitted, at: Fitted, lawful: IdentifiedModel | None) -> list[Any]:
         if self.test is None:
+            self.warnings.append(
+                "without --test flights the causes were chosen on the flights that judge them, by "
+                "halves: e-values are then too large by what choosing gains"
+            )
             self.warnings.append("the gap is judged on the training flights: give --test flights")
         before, after = self.foreseen(null), self.foreseen(at)
         if before is None or after is None:

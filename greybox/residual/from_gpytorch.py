@@ -320,6 +320,12 @@ def _transforms(
                 f"{type(transform).__name__} in input_transform is not supported",
                 expected="an affine one",
             )
+        for name, usual in (("reverse", False), ("transform_on_eval", True)):
+            if bool(getattr(transform, name, usual)) is not usual:
+                raise ModelError(
+                    f"input_transform with {name}={not usual} is not supported",
+                    expected=f"{name}={usual}",
+                )
         at = slice(None) if not hasattr(transform, "indices") else transform.indices.tolist()
         size, offset = np.ones(n_in), np.zeros(n_in)
         wide = (numbers(transform.coefficient).reshape(-1), numbers(transform.offset).reshape(-1))

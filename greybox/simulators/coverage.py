@@ -236,7 +236,7 @@ def _real(segment: Segment, group: str, rows: IntArray) -> FloatArray | None:
     columns = GROUPS[group]
     if not all(c in segment.channels for c in columns):
         return None
-    value = np.stack([np.asarray(segment[c])[rows] for c in columns], axis=-1)
+    value = np.stack([segment.column(c)[rows] for c in columns], axis=-1)
     return _euler(value) if group == "rotation" else np.asarray(value)
 
 

@@ -28,7 +28,6 @@ from greybox.model.parameter import Parameter
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import linear_drag
 from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
-from greybox.simulators.targets.mujoco import tangent
 from greybox.symbolic import BoolArray, FloatArray
 
 MOMENTS = ("inertia.xx", "inertia.yy", "inertia.zz")
@@ -64,16 +63,17 @@ class Draws:
         return replace(self.craft, values=own)
 
     def files(self) -> dict[str, str | bytes]:
-        """draws.npz (everything, for simulate.py), crazyflow.npz, mjx.npz, isaac.npz (the same
-        draws under the names of these simulators) and ranges.toml."""
+        """draws.npz (everything, for simulate.py) and ranges.toml; for a craft with even rotors and
+        no gyroscopic torque also crazyflow.npz, the same draws under that simulator's names."""
         every = [self.one(i) for i in range(len(self))]
-        return {
+        files: dict[str, str | bytes] = {
             "draws/draws.npz": _npz({"names": np.array(self.names), "values": self.values}),
-            "draws/crazyflow.npz": _npz(_crazyflow(every)),
-            "draws/mjx.npz": _npz(_mjx(every)),
-            "draws/isaac.npz": _npz(_isaac(every)),
             "draws/ranges.toml": self.ranges(),
         }
+        even = not any(n.startswith(("rotor_asymmetry.", "rotor_gyroscopic.")) for n in self.names)
+        if even:
+            files["draws/crazyflow.npz"] = _npz(_crazyflow(every))
+        return files
 
     def ranges(self) -> str:
         """TOML of the central 95 % of every parameter that varies: a box for simulators that take
@@ -205,33 +205,4 @@ def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:
         "drag_matrix": np.array([np.diag(-linear_drag(c)) for c in every]),
         "mixing_matrix": np.stack([arms[..., 1] / length, -arms[..., 0] / length, spins], axis=1),
         "L": np.full(len(every), length),
-    }
-
-
-def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
-    """Fields of the model of mujoco/model.xml: body 1 and its actuators."""
-    rows = [np.linalg.eigh(c.inertia) for c in every]
-    return {
-        "body_mass": np.array([c.mass for c in every]),
-        "body_ipos": np.array([c.center_of_mass for c in every]),
-        "body_inertia": np.array([r[0] for r in rows]),
-        "body_iaxes": np.array([r[1] for r in rows]),
-        "actuator_dynprm": np.array([max(c.get("motor_lag.tau"), SHORTEST_LAG) for c in every]),
-        "actuator_gainprm": np.array([tangent(c)[0] for c in every]),
-        "actuator_biasprm": np.array([tangent(c)[1] for c in every]),
-    }
-
-
-def _isaac(every: list[Craft]) -> dict[str, FloatArray]:
-    """Numbers of pegasus.yaml and the USD body, one row per craft."""
-    speed = every[0].speed_max
-    return {
-        "mass": np.array([c.mass for c in every]),
-        "inertia": np.array([c.inertia for c in every]),
-        "center_of_mass": np.array([c.center_of_mass for c in every]),
-        "rotor_constant": np.array([c.thrust[2] * c.strength / speed**2 for c in every]),
-        "rolling_moment_coefficient": np.array(
-            [c.torque[2] * c.strength / speed**2 for c in every]
-        ),
-        "drag": np.array([linear_drag(c) for c in every]),
     }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 import numpy as np
 
@@ -101,7 +99,6 @@ def _whole(craft: Craft) -> Dynamics:
     return with_physics(dynamics, lambda _: craft.physics)
 
 
-@lru_cache(maxsize=4)
 def _functions(dynamics: Dynamics, dt: float) -> str:
     past, future = dynamics.window
     x, p = ca.SX.sym("x", len(dynamics.states)), ca.SX.sym("p", len(dynamics.parameters))

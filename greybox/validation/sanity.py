@@ -40,6 +40,9 @@ LIMITS: Mapping[str, Limit] = {
     "inertia, rounded": Limit(
         value=-0.013, source="margin of 5 % beyond the triangle: the slack of the vehicle reader"
     ),
+    "inertia, errors": Limit(
+        value=2.0, source="standard errors of the excess: within them a body is possible, and nothing is known to be wrong"
+    ),
     "inertia, least": Limit(value=0.01, source="J / (m L^2); limit of greybox.model.plausibility"),
     "inertia, most": Limit(value=3.0, source="J / (m L^2); limit of greybox.model.plausibility"),
     "density, least": Limit(value=5.0, source="m / L^3 [kg/m^3]; limit of greybox.model.plausibility"),
@@ -56,6 +59,10 @@ class Estimated(Protocol):
     @property
     def value(self) -> float:
         """Estimate in its unit."""
+
+    @property
+    def std(self) -> float:
+        """Standard error, NaN where it has none."""
 
     @property
     def prior(self) -> tuple[float, float] | None:
@@ -221,11 +228,16 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
         "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per command, a clock that is late"
     )
     if least <= 0:
+        errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
+        principal = np.linalg.eigvalsh(j)
+        excess = float(2 * principal[-1] - principal.sum())
+        known = excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
         yield Insane(
-            severity="impossible" if least < LIMITS["inertia, rounded"].value else "doubtful",
+            severity="impossible" if known and least < LIMITS["inertia, rounded"].value else "doubtful",
             kind="inertia",
             parameters=names,
-            statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others)",
+            statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others"
+            + (")" if known else ", by less than their errors)"),
             likely=rate,
             attempt="add motor_lag and command_delay; hold inertia.zz where yaw is hardly excited; fit schema /2 files",
         )

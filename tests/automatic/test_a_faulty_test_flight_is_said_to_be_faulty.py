@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_says_it_and_the_verdict_names_it(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     command = "fit --vehicle v.toml --train sound.csv --test faulty.csv --manual --effects motor_lag"
-    main([*command.split(), "--keep-impossible", "--out", "out"])
+    main([*command.split(), "--out", "out"])
     assert f"greybox fit: {FAULT}" in capsys.readouterr().err
     content = json.loads((folder / "out" / "fit.json").read_text())
     assert any(w.startswith(FAULT) for w in content["warnings"])

@@ -20,7 +20,7 @@ def trained(z: FloatArray, y: FloatArray, noise: float) -> GPPosterior:
     """Two outputs from one input, weights from all rows, with a stated noise variance that may be wrong."""
     kernel = Kernel(family="se", lengthscales=np.array([0.7]), variance=1.0)
     support = np.linspace(-2, 2, 12)[None]
-    numbers = [collapsed(kernel, support, z.T, y[:, j], 0.01) for j in range(2)]
+    numbers = [collapsed(kernel, support, z.T, y[:, j], noise) for j in range(2)]
     return GPPosterior(
         inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([Signal(name=n, unit="m") for n in "ab"]), method="sgpr",
         kernels=(kernel, kernel), input_mean=np.zeros(1), input_scale=np.ones(1), output_mean=np.zeros(2),

@@ -228,6 +228,11 @@ def test_a_model_with_botorchs_structure_comes_over():
     center, size = Standardize.means.numpy()[0], Standardize.stdvs.numpy()[0]
     assert np.allclose(mean, center + size * want.mean.numpy().T, rtol=1e-8)
     assert np.allclose(variance, size**2 * want.variance.numpy().T, rtol=1e-8)
+    for name, value in (("reverse", True), ("transform_on_eval", False)):
+        model.input_transform = AffineInputTransform()
+        setattr(model.input_transform, name, value)
+        with pytest.raises(ModelError, match=name):
+            gb.from_gpytorch(model)
 
 
 def test_botorchs_single_task_gp_comes_over():

@@ -3,6 +3,8 @@ crazyflow where it is installed), fly within 1 % of what the statement says over
 
 from __future__ import annotations
 
+import os
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +40,8 @@ Rates = Callable[..., tuple[Array, ...]]
 
 def dynamics_of(package: str) -> Rates:
     if package == "drone-models":
+        if "scipy" in sys.modules and os.environ.get("SCIPY_ARRAY_API") != "1":
+            pytest.skip("drone-models wants SCIPY_ARRAY_API=1 before scipy is imported")
         pytest.importorskip("drone_models")
         from drone_models.first_principles import dynamics
 

@@ -108,6 +108,16 @@ def test_moments_that_no_body_has_are_impossible_and_those_of_a_rounded_table_do
     assert not judged(estimate("inertia.xx", 3e-3, prior=False)).possible
 
 
+def test_moments_beyond_the_triangle_by_less_than_their_errors_are_doubtful():
+    def moments(std):
+        each = (("inertia.xx", 3e-5), ("inertia.yy", 3e-5), ("inertia.zz", 7e-5))
+        return judged(*(replace(estimate(n, v, prior=False), std=std) for n, v in each))
+
+    (found,) = moments(4e-6).findings  # 1e-5 too much, 7e-6 its standard error
+    assert found.severity == "doubtful" and "by less than their errors" in found.statement
+    assert not moments(2e-6).possible
+
+
 def test_three_parameters_at_bounds_are_one_missing_cause():
     two = [estimate(n, CRAFT.quantities[n].value, at_bound=True) for n in ("mass", "inertia.xx")]
     assert judged(*two).findings == ()

@@ -85,7 +85,8 @@ class WorldDrag(Effect):
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force through the centre of mass, body axes."""
         gain: Expr = ca.vertcat(p["k_xy"], p["k_xy"], p["k_z"])
-        force = -ca.sum1(flow.rotor_speed) * gain * flow.velocity_world
+        total: Expr = ca.sum1(flow.rotor_speed)
+        force = -total * gain * flow.velocity_world
         return {"force": flow.rotation.T @ force}
 
 

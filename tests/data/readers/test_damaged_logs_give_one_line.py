@@ -182,7 +182,7 @@ def test_a_missing_library_is_named_with_its_extra(
     import sys
 
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(GreyboxError, match=rf"'{module}'.*greybox\[logs\]"):
+    with pytest.raises(GreyboxError, match=rf"'{module}'.*greybox-sysid\[logs\]"):
         read_table(path)
 
 
