@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
-from greybox.simulators.python_code import python_source
+from greybox.simulators.python_code import NUMBERS, python_source
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording
 from greybox.symbolic import FloatArray
 
@@ -74,24 +74,7 @@ ARMS = np.array({arms})  # m, hubs from the centre of mass
 RATIO = np.array({ratio})  # N m of yaw per N of an actuator
 
 
-class _Numbers:
-    abs, minimum, maximum = abs, staticmethod(min), staticmethod(max)
-    exp, log, sqrt, sin, cos, tan = math.exp, math.log, math.sqrt, math.sin, math.cos, math.tan
-    arcsin, arccos, arctan, arctan2 = math.asin, math.acos, math.atan, math.atan2
-    tanh, floor, ceil, copysign = math.tanh, math.floor, math.ceil, math.copysign
-
-    @staticmethod
-    def true(a):
-        return 1.0 if a != 0 else 0.0
-
-    @staticmethod
-    def sign(a):
-        return (a > 0) - (a < 0)
-
-    @staticmethod
-    def where(condition, a, b):
-        return a if condition else b
-
+{numbers}
 
 {wrench}
 
@@ -224,6 +207,7 @@ def _callback(craft: Craft) -> str:
     slope, offset, largest = tangent(craft)
     up, down = (max(v, SHORTEST_LAG) for v in craft.lags)
     return _CALLBACK.format(
+        numbers=NUMBERS,
         name=craft.name,
         count=craft.count,
         com=craft.center_of_mass.tolist(),

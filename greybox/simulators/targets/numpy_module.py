@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from greybox.simulators.craft import Craft
 from greybox.simulators.module_text import HEAD, pieces
+from greybox.simulators.python_code import NUMBERS
 from greybox.simulators.words import (
     LEARNED,
     THRUST_MAP,
@@ -21,28 +22,7 @@ _USE = """    sim = Simulator(craft=1000)            # a thousand craft at hover
     sim = Simulator(craft=1000, parameters=draws)   # every craft its own parameters
 """
 
-_TAIL = '''
-
-class _Numbers:
-    """Mathematics of single numbers: faster than NumPy's for one craft."""
-
-    abs, minimum, maximum = abs, staticmethod(min), staticmethod(max)
-    exp, log, sqrt, sin, cos, tan = math.exp, math.log, math.sqrt, math.sin, math.cos, math.tan
-    arcsin, arccos, arctan, arctan2 = math.asin, math.acos, math.atan, math.atan2
-    tanh, floor, ceil, copysign = math.tanh, math.floor, math.ceil, math.copysign
-
-    @staticmethod
-    def true(a):
-        return 1.0 if a != 0 else 0.0
-
-    @staticmethod
-    def sign(a):
-        return (a > 0) - (a < 0)
-
-    @staticmethod
-    def where(condition, a, b):
-        return a if condition else b
-
+_TAIL = "\n\n" + NUMBERS + '''
 
 class _Arrays:
     """Mathematics of whole batches."""
