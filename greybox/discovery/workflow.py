@@ -248,6 +248,7 @@ class _Run:
             separating=said,
             steps=tuple(search.steps),
             sensors=tuple(sensor_table(found)),
+            base=tuple(sorted(causes.base)),
             lawful=lawful,
         )
 
@@ -299,8 +300,9 @@ class _Run:
             odd = impossible(at, self.flights, name)
             names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
         keep = {"certified", "supported", "one of these"} | ({"trace"} if self.options.trace else set())
-        base = self.flights.causes.base
-        gone = {n.name for n in names if n.status not in keep and n.name not in base}
+        doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
+        self.warnings += [doubt for doubt in doubts if doubt]
+        gone = {n.name for n in names if n.status not in keep}
         if not gone:
             return names, at
         return names, self.flights.fit(at.structure - gone, [at.known])
