@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.gap import GapRow
 from greybox.discovery.law import Axis
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
@@ -18,6 +17,7 @@ from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.validation.gap import GapRow
 
 SCHEMA = "greybox.discovery/2"
 WITH_LAWS = "model_with_laws.json"

@@ -21,7 +21,6 @@ from greybox.discovery.cause import Causes, offer, since
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.colour import sensor_table
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.gap import Foresight, foresee, gap, outgrown
 from greybox.discovery.lead import led
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, impossible, judged
@@ -35,6 +34,7 @@ from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.validation.gap import Foresight, foresee, gap, outgrown
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
