@@ -114,7 +114,8 @@ class FeaturePosterior:
             rows = [2 * (ca.sparsify(ca.DM(f)).T @ s).T @ slope for f, s in zip(self.root, spread, strict=True)]
             out["variance_jacobian"] = (square[:, None] / self.input_scale) * ca.vertcat(*rows)
         if wanted & {"distance", "distances"}:
-            shares = [ca.fmin(ca.sumsqr(s) / (p * ca.sumsqr(phi) + 1e-12), 1.0) for s, p in zip(spread, self.prior, strict=True)]
+            before = [p * ca.sumsqr(phi) + 1e-12 for p in self.prior]
+            shares = [ca.fmin(ca.sumsqr(s) / b, 1.0) for s, b in zip(spread, before, strict=True)]
             out["distances"] = ca.vertcat(*(s if i in on else ca.DM(1.0) for i, s in enumerate(shares)))
             out["distance"] = ca.mmax(ca.vertcat(*(shares[i] for i in on))) if on else ca.DM(1.0)
         return {n: out[n] for n in wanted}
@@ -130,7 +131,12 @@ class FeaturePosterior:
         return ca.Function("phi", [x], [phi, ca.densify(ca.jacobian(phi, x))])
 
     def function(
-        self, name: str = "learned", which: Iterable[str] = ("mean", "variance"), *, noise: bool | str = False, symbol: Any = ca.MX
+        self,
+        name: str = "learned",
+        which: Iterable[str] = ("mean", "variance"),
+        *,
+        noise: bool | str = False,
+        symbol: Any = ca.MX,
     ) -> Any:
         """A CasADi function z -> the quantities in `which`."""
         names = list(which)
@@ -173,9 +179,13 @@ class FeaturePosterior:
         try:
             numbers = {n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")}
             return cls(
-                inputs=Layout([Signal(**s) for s in value["inputs"]]), outputs=Layout([Signal(**s) for s in value["outputs"]]),
-                method=str(value["method"]), phi=read_function("phi", value["features"]), domain=Domain(**value["domain"]), **numbers,
-            )  # fmt: skip
+                inputs=Layout([Signal(**s) for s in value["inputs"]]),
+                outputs=Layout([Signal(**s) for s in value["outputs"]]),
+                method=str(value["method"]),
+                phi=read_function("phi", value["features"]),
+                domain=Domain(**value["domain"]),
+                **numbers,
+            )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
                 raise

@@ -35,8 +35,8 @@ from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
 from greybox.residual.weight_space import Candidate
-from greybox.symbolic import evaluate
 from greybox.shown import Cell, Shown
+from greybox.symbolic import evaluate
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
@@ -210,7 +210,8 @@ def learn(
             found[f"{label}, marginal likelihood"] = trained.posterior
         found[f"{label}, broad kernel"] = broad_posterior(seen, points=size, seed=seed)
     if not found:
-        raise ModelError(f"the learner {other.name if other else GP} offers no features", fix="another learner, or --learner gp")
+        named = other.name if other else GP
+        raise ModelError(f"the learner {named} offers no features", fix="another learner, or --learner gp")
     result, chosen, gains = fit_open_loop(base, found, train, progress=lambda text, share: say(text, 0.4 + 0.4 * share))
     null = result.status == "null"
     posterior = result.posterior

@@ -73,7 +73,7 @@ def silent(post: Candidate) -> Candidate:
 def fitted(
     post: Candidate, theta: FloatArray, covariance: FloatArray, prior: FloatArray, factor: FloatArray
 ) -> Candidate:
-    """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an output that is off keeps nothing.
+    """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an output that is off is empty.
 
     A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the data is
     that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.

@@ -35,7 +35,14 @@ def learner_of(name: str) -> Learner | None:
         try:
             made = made()
         except Exception as error:
-            raise ModelError(f"making a {name.rpartition(':')[2]}: {error}", where=name, fix="a class without arguments") from None
+            raise ModelError(
+                f"making a {name.rpartition(':')[2]}: {error}", where=name, fix="a class without arguments"
+            ) from None
     if not isinstance(made, Learner):
-        raise ModelError("not a learner", where=name, expected="a name, and features(x, y, points, seed)", fix="see docs/own_learner.md")
+        raise ModelError(
+            "not a learner",
+            where=name,
+            expected="a name, and features(x, y, points, seed)",
+            fix="see docs/own_learner.md",
+        )
     return made

@@ -28,8 +28,9 @@ class NeuralLastLayer:
     def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
         """One candidate per start."""
         rows = np.random.default_rng(seed).permutation(len(x))[:ROWS]
+        units = min(points, 24)
         return {
-            f"network, start {k + 1}": _trained(x[rows], y[rows], units=min(points, 24), seed=seed + k) for k in range(STARTS)
+            f"network, start {k + 1}": _trained(x[rows], y[rows], units=units, seed=seed + k) for k in range(STARTS)
         }
 
 

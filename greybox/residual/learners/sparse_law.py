@@ -1,8 +1,8 @@
 """A sparse law: few terms out of a library of polynomials, chosen by thresholded least squares.
 
-Terms 1, x_i, x_i x_j and x_i |x_i| of the inputs in units of their spread (no mean is taken out, so that zero stays zero);
-coefficients below a threshold are dropped and the rest fitted again, until nothing changes (Brunton, Proctor and Kutz 2016, PNAS
-113(15)). The terms that stay are the features; several thresholds compete on left-out flights.
+Terms 1, x_i, x_i x_j and x_i |x_i| of the inputs in units of their spread (no mean is taken out: zero stays zero);
+coefficients below a threshold are dropped and the rest fitted again, until nothing changes (Brunton, Proctor and Kutz 2016,
+PNAS 113(15)). The terms that stay are the features; several thresholds compete on left-out flights.
 """
 
 from __future__ import annotations
