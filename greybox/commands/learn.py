@@ -28,7 +28,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with a "
-                   "Bayesian last layer), sparse (a law of few terms), or own.py:Name, a Python file that is run")  # fmt: skip
+                   "Bayesian last layer), sparse (a law of few terms), or own.py:Name, Python that is run")  # fmt: skip
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
     p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "

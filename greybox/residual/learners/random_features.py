@@ -1,6 +1,6 @@
 """Random Fourier features: a Gaussian process of a squared-exponential kernel, without training or support points.
 
-phi_i = sqrt(2/M) cos(w_i'x + b_i), w ~ N(0, I/l^2), b uniform: the products phi(x)'phi(x') are the kernel's values on average
+phi_i = sqrt(2/M) cos(w_i'x + b_i), w ~ N(0, I/l^2), b uniform: products phi(x)'phi(x') are the kernel's values on average
 (Rahimi and Recht 2007, NIPS). A few length-scales l compete; the inputs themselves are features too.
 """
 
