@@ -4,6 +4,7 @@
 # make test-slow   the long studies (hours are not needed; minutes are)
 # make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
 #             oldest and newest versions of what they need; about twenty minutes, asks PyPI
+# make site   the documentation as pages with search, in site/
 # make docs   write the pages that are generated from the code: docs/reference.md, docs/effects.md
 PYTHON ?= python3
 VENV ?= .venv
@@ -28,7 +29,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: demo demo-mpc test test-slow test-releases docs lint clean install
+.PHONY: demo demo-mpc test test-slow test-releases docs site lint clean install
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -50,7 +51,7 @@ demo: $(STAMP)
 
 demo-mpc: OUT = demo_mpc_out
 demo-mpc: $(DEMO_STAMP)
-	$(BIN)/python -m scenarios.studies.demo_mpc --out $(OUT) --jobs $(JOBS)
+	$(BIN)/python -m scenarios.courses.demo --out $(OUT) --jobs $(JOBS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -69,5 +70,9 @@ docs: $(STAMP)
 	$(BIN)/python -m scenarios.studies.docs_reference > docs/reference.new && mv docs/reference.new docs/reference.md
 	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
+# The documentation as a site that opens from site/index.html and needs no network.
+site: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --site-dir site
+
 clean:
-	rm -rf $(VENV) $(OUT) demo_mpc_out build *.egg-info
+	rm -rf $(VENV) $(OUT) demo_mpc_out build site *.egg-info

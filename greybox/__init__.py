@@ -43,7 +43,6 @@ _PUBLIC = {
     "profile": "greybox.commands.front_door",
     "compare": "greybox.commands.front_door",
     "export": "greybox.commands.front_door",
-    "load_own_model": "greybox.model.own_model",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
     "GreyboxError": "greybox.errors",
@@ -79,7 +78,6 @@ __all__ = [
     "load",
     "load_effects",
     "load_model",
-    "load_own_model",
     "plan",
     "profile",
     "read_log",
@@ -106,7 +104,6 @@ if TYPE_CHECKING:
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.model import PhysicsModel, build_model
-    from greybox.model.own_model import load_own_model
     from greybox.model.parameter import Parameter, ParameterValues
     from greybox.model.plausibility import check_vehicle, vehicle_findings
     from greybox.model.vehicle import Vehicle, read_vehicle

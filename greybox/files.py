@@ -184,3 +184,22 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
         for block in iter(lambda: stream.read(1 << 20), b""):
             digest.update(block)
     return digest.hexdigest()
+
+
+def append_json_line(path: Path, row: dict[str, Any]) -> None:
+    """Add a row to a file of JSON lines, in one write that is on the disk when this returns. A line that was cut off before
+    it stays alone."""
+    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(("" if whole else "\n") + json.dumps(row) + "\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def read_json_lines(text: str) -> list[dict[str, Any]]:
+    """Rows of a text of JSON lines; a line that was cut off counts as not there."""
+    rows = []
+    for line in text.splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            rows.append(json.loads(line))
+    return rows

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 ATTITUDE = 0.3
 """Typical attitude error [rad]."""
-FREE = ("history.", "disturbance.")
+FREE = ("history.", "disturbance.", "coloured.", "drift.", "line.", "low_pass.", "delay.")
+"""Prefixes of states that no cost looks at: past commands and noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,8 @@
 """Noise: the identified filter and process noise at the controller's sample time, as plain numbers.
 
 White noise that is constant over a step keeps its intensity: variance times sample time is the same at every sample time.
-A disturbance d+ = exp(-dt/T) d + w keeps its stationary variance. Sensor noise is one per sample, whatever the rate.
+What is correlated in time keeps its stationary variance (each kind of noise part says how). Sensor noise is one per sample,
+whatever the rate.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import numpy as np
 
 from greybox.estimation.gain import stationary
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import layers
 from greybox.model.linear import LinearModel
+from greybox.model.noise import Augmented
 from greybox.symbolic import FloatArray
 
 
@@ -39,14 +42,10 @@ def levels_at(model: IdentifiedModel, levels: FloatArray, dt: float) -> FloatArr
     own = model.sample_time
     if math.isclose(own, dt, rel_tol=1e-12):
         return levels
-    out = np.array(levels, dtype=float)
-    for i, name in enumerate(model.dynamics.noises.names):
-        if name.startswith("disturbance."):
-            time = float(model.values[f"disturbance.{name.split('.')[1]}.T"])
-            out[i] *= math.sqrt(math.expm1(-2 * dt / time) / math.expm1(-2 * own / time))
-        else:
-            out[i] *= math.sqrt(own / dt)
-    return out
+    for layer in layers(model.dynamics):
+        if isinstance(layer, Augmented):
+            return np.asarray(levels * layer.rescaled(model.values, own, dt))
+    return np.asarray(levels * math.sqrt(own / dt))
 
 
 def identified_noise(

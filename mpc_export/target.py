@@ -20,6 +20,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.frames import euler_zyx
 from greybox.model.layer import physics_of
+from greybox.model.noise import UNMOVED
 from greybox.symbolic import Expr, Layout, Signal
 from mpc_export.sampled import Sampled
 
@@ -68,7 +69,8 @@ def target_function(sampled: Sampled, functions: Mapping[str, Any], targets: Lay
     nd, nu = len(sampled.error_states), len(sampled.inputs)
     own = len(sampled.dynamics.error_states)
     names = sampled.error_states.names
-    moving = [i for i in range(own) if not names[i].startswith("d_disturbance.")]
+    unmoved = tuple(f"d_{kind}." for kind in UNMOVED)
+    moving = [i for i in range(own) if not names[i].startswith(unmoved)]
     physics = physics_of(sampled.dynamics)
     own_sizes: Mapping[str, float] = {} if physics is None else physics.memory_sizes
     sizes = SIZES | {f"d_{n}": v for n, v in own_sizes.items()}

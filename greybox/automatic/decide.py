@@ -1,11 +1,13 @@
 """decide: from flights and a vehicle file to the recipe of a fit, every choice with its reason.
 
 1. Of two numbers of which flights show the ratio alone the better known one is held.
-2. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
+2. Gyro and accelerometer get a low-pass filter where the innovations of the first set are not white
+   and BIC clearly asks for it: a filter that is left out looks like more lag of the motors.
+3. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
    every flight, with disturbance states of force and torque, and foretell the part left out. The
    smallest set within one standard error of the best is taken, less the steps that nothing feels.
-3. The thrust scale gets a value per flight where flights differ by more than their errors.
-4. Errors up to half a second ahead replace the likelihood where that foretells better.
+4. The thrust scale gets a value per flight where flights differ by more than their errors.
+5. Errors up to half a second ahead replace the likelihood where that foretells better.
 """
 
 from __future__ import annotations
@@ -18,8 +20,9 @@ import numpy as np
 import scipy.stats
 
 from greybox.automatic.facts import WANDER, Facts
+from greybox.automatic.filters import described, is_felt, offered_filters, without_noise_of
 from greybox.automatic.foretell import Score, foretell
-from greybox.automatic.sets import Step, names_of, nested_sets, per_flight_parameters
+from greybox.automatic.sets import LATE_POSE, Step, names_of, nested_sets, per_flight_parameters
 from greybox.data import Dataset, Flight
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import fit, noise_of
@@ -32,6 +35,7 @@ from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
+from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
 
 FIRST_PART = 0.65
 """Share of a flight that sets are fitted to; the rest is foretold."""
@@ -51,6 +55,8 @@ ADAPT = 5.0
 """Seconds of a new flight from which its own parameters are taken."""
 QUICK = LevenbergMarquardt(tolerance=0.2, max_iterations=20)
 """Solver of the comparison: ends within about half a standard error of the optimum."""
+REFINE = LevenbergMarquardt(tolerance=0.2, max_iterations=4)
+"""... where one more parameter is tried at an optimum: two steps take it there."""
 WORTH = 0.05
 """Share of its squared error by which a larger set must improve a smaller one: less is worth
 nothing."""
@@ -95,11 +101,12 @@ class Candidate:
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether errors further ahead foretell better, by more than their standard error."""
+        """Whether errors further ahead foretell better, by more than their standard error and by
+        what is worth anything: the likelihood knows its parameters better."""
         if self.ahead_score is None:
             return False
         gain, error = self.ahead_score.better_by(self.likelihood_score)
-        return gain > error
+        return gain > max(error, WORTH * self.likelihood_score.mean)
 
     @property
     def fit(self) -> Fit:
@@ -147,6 +154,8 @@ class _Decider:
     say: Say
     decisions: list[Decision] = field(default_factory=list)
     kinematic_noise: bool = False
+    largest: tuple[Step, ...] = ()
+    considered: tuple[str, ...] = ()
 
     def run(self) -> Decided:
         said = FitOptions.of(None, self.given.choices)
@@ -154,6 +163,7 @@ class _Decider:
             member()  # a name that there is not is said before anything takes time
         self._kinematics()
         options = self._held(self._noise(self._disturbance(said)))
+        self.considered = options.considered
         parts = self._parts()
         if self.given.effects is not None:
             steps: tuple[Step, ...] = (
@@ -161,6 +171,7 @@ class _Decider:
             )
         else:
             steps = nested_sets(self.vehicle, self.facts, input=self.given.input)
+        self.largest = steps
         if parts is None:
             self._note(
                 "effects",
@@ -170,9 +181,13 @@ class _Decider:
                 "--effects",
             )
             return self._decided(steps[:1], options, None, None)
-        chosen = self._smallest_good(steps, options, parts)
-        if chosen is None:
+        first = self._try(steps[:1], options, None, parts)
+        if first is None:
             return self._decided(steps[:1], options, None, None)
+        options, first = self._filters(options, first, parts)
+        late = set(_names(first.steps)) & set(names_of(LATE_POSE))
+        rest = [s for s in steps[1:] if not late & set(names_of(s))]
+        chosen = self._smallest_good((*first.steps, *rest), options, first, parts)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
         return self._decided(chosen.steps, self._started(options, chosen), chosen, parts)
@@ -355,13 +370,13 @@ class _Decider:
         before: Candidate | None,
         parts: tuple[Dataset, Dataset],
         *,
-        look_ahead: bool = False,
+        solver: LevenbergMarquardt = QUICK,
     ) -> Candidate | None:
         """`steps` fitted and judged, from where `before` ended; None where that is not possible.
 
-        Errors further ahead are tried where the likelihood foretells poorly, or on `look_ahead`.
+        Errors further ahead are tried where the likelihood foretells poorly.
         """
-        options = self._with_flight_values(options, steps).but(solver=QUICK, considered=())
+        options = self._with_flight_values(options, steps).but(solver=solver, considered=())
         options = options.but(predictor="innovation")
         if before is None:
             options = options.but(initialisation="equation-error")
@@ -369,14 +384,14 @@ class _Decider:
             dropped = set(_names(before.steps)) - set(_names(steps))
             options = _from(before.fit, before.likelihood, options, dropped)
         try:
-            model = self._model(_effects(steps))
+            model, options = self._one_library(steps, options)
             plain = fit(model, parts[0], options)
             judged = foretell(plain.model, parts[1])
         except GreyboxError as error:
             self.say(f"  {steps[-1].name}: {error}")
             return None
         found = Candidate(steps=steps, likelihood=plain, likelihood_score=judged)
-        if "predictor" in self.given.choices or not (look_ahead or judged.mean > POOR):
+        if "predictor" in self.given.choices or judged.mean <= POOR:
             return found
         try:
             many = fit(
@@ -387,17 +402,46 @@ class _Decider:
             self.say(f"  {steps[-1].name}, errors ahead: {error}")
             return found
 
+    def _one_library(
+        self, steps: tuple[Step, ...], options: FitOptions
+    ) -> tuple[PhysicsModel, FitOptions]:
+        """The model of the largest set in which what is not among `steps` is held at nothing: the
+        same predictions, and one build serves all nested sets."""
+        own = set(_names(steps))
+        more = [
+            replace(s, effects=tuple(e for e in s.effects if _name(e) not in own))
+            for s in self.largest
+        ]
+        model = self._model(_effects((*steps, *more)))
+        absent = set(_names(tuple(more)))
+        null = {
+            d.name: d.nominal if d.null is None else d.null
+            for d in model.parameters
+            if d.name.split(".")[0] in absent
+        }
+        free = [d.name for d in model.parameters if d.sigma > 0 and d.name not in options.fixed]
+        return model, options.but(
+            fixed=(*options.fixed, *null),
+            values={**options.values, **null},
+            build=(*free, *self.considered),
+        )
+
     def _smallest_good(
-        self, steps: tuple[Step, ...], options: FitOptions, parts: tuple[Dataset, Dataset]
-    ) -> Candidate | None:
-        tried: list[Candidate] = []
-        for i in range(1, len(steps) + 1):
-            got = self._try(steps[:i], options, tried[-1] if tried else None, parts)
+        self,
+        steps: tuple[Step, ...],
+        options: FitOptions,
+        first: Candidate,
+        parts: tuple[Dataset, Dataset],
+    ) -> Candidate:
+        """Of `first` and the larger sets up to all `steps`."""
+        tried = [first]
+        for i in range(len(first.steps), len(steps) + 1):
+            got = (
+                first if i == len(first.steps) else self._try(steps[:i], options, tried[-1], parts)
+            )
             if got is not None:
-                tried.append(got)
+                tried = [*tried, got] if got is not first else tried
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
-        if not tried:
-            return None
         best = min(tried, key=lambda c: c.score.mean)
         chosen = next((c for c in tried if _as_good(c, best)), best)
         kept = _felt_steps(chosen)
@@ -417,6 +461,55 @@ class _Decider:
             )
         return chosen
 
+    def _filters(
+        self, options: FitOptions, first: Candidate, parts: tuple[Dataset, Dataset]
+    ) -> tuple[FitOptions, Candidate]:
+        """A filter of gyro and accelerometer where BIC clearly asks for it. A pose that is as late
+        as a filtered IMU hides it: the two are tried together."""
+        if "noise_parts" in self.given.choices:
+            return options, first
+        offered = offered_filters(first.likelihood)
+        reason = "none is longer than nothing within its error"
+        if not offered:
+            reason = "the innovations of the IMU are white"
+        steps = first.steps
+        if offered and self._pose_may_be_late():
+            clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
+            steps = (*steps, *(clocks or [LATE_POSE]))
+        while offered:
+            own = tuple(p.name for p in offered)
+            again = self._try(steps, options.but(noise_parts=own), first, parts)
+            if again is None:
+                reason = "no fit with one"
+                break
+            felt = tuple(p for p in offered if is_felt(p, again.likelihood))
+            if felt != offered:
+                offered = felt
+                continue
+            gain = first.likelihood.bic - again.likelihood.bic
+            better, error = again.score.better_by(first.score)
+            if gain > CLEAR_EVIDENCE and better > -error:
+                self._note(
+                    "filter of the IMU",
+                    ", ".join(described(p, again.likelihood) for p in offered),
+                    f"its innovations are not white, and BIC falls by {gain:.0f}; left out it would "
+                    "look like more lag of the motors",
+                    "--noise-parts",
+                )
+                return options.but(noise_parts=own), again
+            reason = f"BIC falls by {gain:.0f}, the score ahead by {better:.3f} +- {error:.3f}"
+            break
+        self._note("filter of the IMU", "none", reason, "--noise-parts")
+        return options, first
+
+    def _pose_may_be_late(self) -> bool:
+        return (
+            self.given.effects is None
+            and self.facts.has_pose
+            and self.facts.has_imu
+            and LATE_POSE.name not in self.vehicle.effects
+        )
+
     def _thrust_per_flight(
         self, options: FitOptions, chosen: Candidate, parts: tuple[Dataset, Dataset]
     ) -> tuple[FitOptions, Candidate]:
@@ -425,7 +518,8 @@ class _Decider:
         )
         if not open_question or len(parts[0]) < 2 or THRUST not in chosen.fit.parameters:
             return options, chosen
-        again = self._try(chosen.steps, options.but(per_flight=(THRUST,)), chosen, parts)
+        own = options.but(per_flight=(THRUST,))
+        again = self._try(chosen.steps, own, chosen, parts, solver=REFINE)
         if again is None:
             return options, chosen
         each = np.array(list(again.fit.parameters[THRUST].per_flight.values()))
@@ -446,9 +540,13 @@ class _Decider:
         """Multi-step errors in place of the likelihood where that foretells better by its error."""
         if "predictor" in self.given.choices:
             return options, chosen
-        if chosen.ahead is None:
-            chosen = self._try(chosen.steps, options, chosen, parts, look_ahead=True) or chosen
         if chosen.ahead_score is None:
+            self._note(
+                "criterion",
+                "likelihood one step ahead",
+                f"it foretells pieces left out: {chosen.score.mean:.3f} of the last value's squared error",
+                "--predictor",
+            )
             return options, chosen
         _, error = chosen.ahead_score.better_by(chosen.likelihood_score)
         self._note(
@@ -474,9 +572,10 @@ def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> Fit
     """`options` from the estimates of one fit and the noise levels of another, less those of
     effects that are `dropped`."""
     values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
-    return options.but(
-        values={**values, **options.values}, noise=noise_of(noise.model), initialisation="nominal"
-    )
+    levels = noise_of(noise.model)
+    for part in set(start.settings["noise_parts"]) - set(options.noise_parts):
+        values, levels = without_noise_of(part, values), without_noise_of(part, levels)
+    return options.but(values={**values, **options.values}, noise=levels, initialisation="nominal")
 
 
 def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
@@ -485,6 +584,10 @@ def _effects(steps: tuple[Step, ...]) -> tuple[str | Effect, ...]:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
+
+
+def _name(effect: str | Effect) -> str:
+    return effect if isinstance(effect, str) else effect.name
 
 
 def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
@@ -501,9 +604,7 @@ def _felt_steps(candidate: Candidate) -> tuple[Step, ...]:
     first, *more = candidate.steps
     kept = [first]
     for step in more:
-        felt = tuple(
-            e for e in step.effects if _felt(e if isinstance(e, str) else e.name, candidate.fit)
-        )
+        felt = tuple(e for e in step.effects if _felt(_name(e), candidate.fit))
         if felt:
             kept.append(replace(step, effects=felt))
     return tuple(kept)

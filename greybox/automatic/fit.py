@@ -13,15 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.automatic.decide import QUICK, Decided, Given, Say
+from greybox.automatic.filters import without_parts
 from greybox.automatic.flights import LeftOut, needed_rate, raw_log, sound_flights
-from greybox.automatic.samples import Removed, without_impossible
 from greybox.automatic.sets import BASE
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
 from greybox.data.conditioning import condition
-from greybox.data.raw import RawLog
+from greybox.data.impossible import without_impossible
+from greybox.data.raw import RawLog, Removed
 from greybox.errors import FitError
-from greybox.estimation.fit import Progress, fit
+from greybox.estimation.fit import Progress, fit, noise_of
+from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Decision, Recipe
 from greybox.estimation.record import sample_time
 from greybox.estimation.result import Estimate, Fit
@@ -106,11 +108,10 @@ def prepare(
     """
     trim = not isinstance(logs, Dataset)
     raws = [raw_log(f) for f in logs] if isinstance(logs, Dataset) else list(logs)
-    removed: tuple[Removed, ...] = ()
-    if not keep_impossible:
-        cleaned = [without_impossible(r, vehicle) for r in raws]
-        raws, removed = [c[0] for c in cleaned], tuple(x for c in cleaned for x in c[1])
-    if isinstance(logs, Dataset) and not removed:
+    if not keep_impossible:  # a log that was read with this vehicle has nothing left to remove
+        raws = [r if r.removed else without_impossible(r, vehicle) for r in raws]
+    removed = tuple(x for r in raws for x in r.removed)
+    if isinstance(logs, Dataset) and removed == logs.removed:
         data = logs
     else:
         own_rate = rate if not decide_rate else None
@@ -182,10 +183,8 @@ def fit_decided(
             step_down(
                 f"{', '.join(absent)} held at nothing", "where the search ended, at the bound"
             )
-            options = recipe.options
-            values = {**options.values, **{n: found.parameters[n].value for n in absent}}
-            options = options.but(fixed=(*options.fixed, *absent), values=values)
-            recipe = replace(recipe, options=options)
+            options = continued(recipe.options, found)
+            recipe = replace(recipe, options=options.but(fixed=(*options.fixed, *absent)))
             continue
         open_effects = recipe.effects if said.effects is None else ()
         gone = [e for e in open_effects if any(n.startswith(f"{_name(e)}.") for n in bent)]
@@ -193,6 +192,11 @@ def fit_decided(
             bent = [n for n in bent if n.split(".")[0] in map(_name, gone)]
             step_down(f"without {', '.join(map(_name, gone))}", f"{', '.join(bent)} ran to a bound")
             recipe = _without(recipe, gone)
+            continue
+        filters = () if "noise_parts" in said.choices else recipe.options.noise_parts
+        if lost := tuple(f for f in filters if any(n.startswith(f"{f}.") for n in bent)):
+            step_down(f"without {', '.join(lost)}", "its time constant ran to a bound")
+            recipe = replace(recipe, options=without_parts(recipe.options, lost))
             continue
         if not found.converged and less is not None:
             step_down(less[1], found.status.advice)
@@ -216,6 +220,16 @@ def judged_on_pieces(
     options = recipe.options.but(solver=QUICK, considered=())
     again = fit_recipe(vehicle, decided.first_parts, replace(recipe, options=options))
     return again.model, decided.left_out
+
+
+def continued(options: FitOptions, found: Fit) -> FitOptions:
+    """The options of a fit that starts where another one ended, as far as their parts agree."""
+    values = {n: e.value for n, e in found.parameters.items() if e.scope == "shared"}
+    return options.but(
+        values={**options.values, **values},
+        noise={**options.noise, **noise_of(found.model)},
+        initialisation="nominal",
+    )
 
 
 def _at_bound(estimate: Estimate) -> bool:

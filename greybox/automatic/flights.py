@@ -67,6 +67,7 @@ def raw_log(flight: Flight) -> RawLog:
         sha256=flight.sha256,
         noncausal=flight.noncausal,
         notes=flight.notes,
+        removed=flight.removed,
     )
 
 

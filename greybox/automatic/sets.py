@@ -53,6 +53,9 @@ STEPS = (
     Step(name="clocks of each flight", effects=("pose_delay",), per_flight=("pose_delay",)),
 )
 
+LATE_POSE = Step(name="pose_delay", effects=("pose_delay",))
+"""What is tried with a filter of the IMU: one delay of the pose for all flights."""
+
 
 def nested_sets(
     vehicle: Vehicle, facts: Facts, *, input: Literal["command", "speed"] = "command"

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import horizon_options
 from greybox.commands.model_options import model_options, names
 
@@ -25,7 +26,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
     p.add_argument("--test", required=True, nargs="+", metavar="LOG", help="flights that only the judgement sees")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     p.add_argument(
         "--adapt", type=float, default=None, metavar="S", help="fit what belongs to a flight on its first S seconds"
     )
@@ -47,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.commands.model_options import fit_with
-    from greybox.data.logs import read_logs
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
@@ -63,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.budget < 1:
         raise GreyboxError("--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4")
     vehicle = read_vehicle(arguments.vehicle)
-    train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
-    test = read_logs(arguments.test, vehicle, rate=1 / sample_time(train), mapping=arguments.mapping)
+    train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
+    test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
     both = sorted(set(train.names) & set(test.names))
     if both:
         raise GreyboxError(

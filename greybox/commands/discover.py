@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.model_options import names
 
 
@@ -31,7 +32,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights on which only the gap is judged")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
     p.add_argument("--max-effects", type=int, default=8, metavar="N", help="stop after N additions (default 8)")
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
@@ -57,7 +58,6 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
-    from greybox.data.logs import read_logs
     from greybox.discovery.proposal import LAW_FILE
     from greybox.discovery.result import WITH_LAWS, Discovery
     from greybox.discovery.workflow import discover, refused
@@ -117,12 +117,11 @@ def run(arguments: argparse.Namespace) -> int:
     # The files show faults of their clocks, which reading mends.
     faults = check_logs([*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping)
     if faults.ok:
-        train = read_logs(arguments.train, vehicle, rate=arguments.rate, mapping=arguments.mapping)
+        train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
         test = Dataset(flights=())
         if arguments.test:
-            test = read_logs(
-                arguments.test, vehicle, rate=arguments.rate or 1 / sample_time(train), mapping=arguments.mapping
-            )
+            rate = arguments.rate or 1 / sample_time(train)
+            test = read_flight_logs(arguments, arguments.test, vehicle, rate=rate)
         if not quiet:
             say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
         try:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from greybox.model.vehicle import Vehicle
     from greybox.validation.result import Validation
 
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.model_options import fit_with, given, model_options
 from greybox.commands.own_model import model_file_option
@@ -40,13 +41,12 @@ def add(subparsers: Any) -> None:
     model_file_option(p, read=False)
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to fit")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     model_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     horizon_options(p)
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
-    p.add_argument("--keep-impossible", action="store_true", help="keep samples that no craft can have made")
     p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
@@ -57,6 +57,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
@@ -142,9 +143,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
-    page = fit_report(
-        content, series(result.model, prepared.data, test, adapted=adapted), checked, title=f"Fit of {vehicle.name}"
-    )
+    # The flight that judges is drawn; a fitted one where there is none.
+    drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
+    lines = series(result.model, *drawn, adapted=adapted)
+    page = fit_report(content, lines, checked, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
@@ -177,34 +179,46 @@ def _print(result: Fit, physics: Sequence[str], table: str, content: Mapping[str
 def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared, Dataset]:
     """(training flights as they are fitted, test flights at their rate). Raises `GreyboxError` for a flight in both."""
     from greybox.automatic.fit import prepare, read_flights
-    from greybox.automatic.samples import without_impossible
     from greybox.data import Dataset
-    from greybox.data.logs import read_table
+    from greybox.data.logs import read_possible
     from greybox.errors import DataError, GreyboxError
     from greybox.estimation.record import sample_time
 
+    keep = bool(arguments.keep_impossible)
+
     def read(paths: Sequence[str]) -> list[RawLog]:
-        return [read_table(p, vehicle, mapping=arguments.mapping) for p in paths]
+        return [
+            read_possible(p, vehicle, mapping=arguments.mapping, keep_impossible=keep)
+            for p in paths
+        ]
 
     logs, others = read(arguments.train), read(arguments.test)
     names = [r.flight for r in logs]
     double = sorted({n for n in names if names.count(n) > 1})
     if double:
-        raise DataError(f"flight names given twice: {', '.join(double)}", fix="give each log once, under its own file name")
+        raise DataError(
+            f"flight names given twice: {', '.join(double)}",
+            fix="give each log once, under its own file name",
+        )
     both = sorted({r.flight for r in logs} & {r.flight for r in others})
     if both:
         raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
+            f"flight {', '.join(both)} is both train and test",
+            fix="give every flight to one of the two",
         )
     prepared = prepare(
-        vehicle, logs, rate=arguments.rate, keep_impossible=arguments.keep_impossible,
-        all_flights=arguments.all_flights or arguments.manual, decide_rate=not arguments.manual,
-    )  # fmt: skip
-    if not arguments.keep_impossible:
-        others = [without_impossible(r, vehicle)[0] for r in others]
-    test = read_flights(others, vehicle, rate=prepared.rate) if others else Dataset(flights=())
+        vehicle,
+        logs,
+        rate=arguments.rate,
+        keep_impossible=keep,
+        all_flights=arguments.all_flights or arguments.manual,
+        decide_rate=not arguments.manual,
+    )
+    if not others:
+        return prepared, Dataset(flights=())
+    test = read_flights(others, vehicle, rate=prepared.rate)
     dt = sample_time(prepared.data)
-    if test.flights and any(abs(f.dt - dt) > 1e-6 * dt for f in test):
+    if any(abs(f.dt - dt) > 1e-6 * dt for f in test):
         test = read_flights(others, vehicle, rate=1 / dt)
     return prepared, test
 

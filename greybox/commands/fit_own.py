@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     quiet = arguments.json == "-"
     horizons = given_horizons(arguments, own=True)
     model = load_own_model(arguments.model_file)
-    train = read_flights_of(model, arguments.train, rate=arguments.rate, mapping=arguments.mapping)
-    test = read_flights_of(model, arguments.test, rate=1 / sample_time(train), mapping=arguments.mapping)
+    train = read_flights_of(arguments, model, arguments.train, rate=arguments.rate)
+    test = read_flights_of(arguments, model, arguments.test, rate=1 / sample_time(train))
     demand_disjoint(train, test)
     out = Path(arguments.out)
 

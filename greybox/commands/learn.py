@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
@@ -25,7 +26,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` or `greybox linear` wrote")
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with a "
                    "Bayesian last layer), sparse (a law of few terms), or own.py:Name, Python that is run")  # fmt: skip
@@ -77,15 +78,21 @@ def run(arguments: argparse.Namespace) -> int:
     if is_linear(arguments.model):
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
+<<<<<<< HEAD
         if arguments.learner != "gp":
             raise GreyboxError(
                 "--learner is for models of motion", got=f"the linear model {arguments.model}", fix="leave it out: gp"
+=======
+        if arguments.keep_impossible:
+            raise GreyboxError(
+                "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
+>>>>>>> own29
             )
         return run_output(arguments)
     model = loaded(arguments)
     horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
     train, test = (
-        read_flights_of(model.dynamics, paths, rate=1.0 / model.sample_time, mapping=arguments.mapping)
+        read_flights_of(arguments, model.dynamics, paths, rate=1.0 / model.sample_time)
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(train, test)

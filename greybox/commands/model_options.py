@@ -63,6 +63,13 @@ def model_options(p: Any) -> None:
         "--disturbance", type=names, default=None, metavar="force,torque", help="disturbance states"
     )
     p.add_argument(
+        "--noise-parts",
+        type=names,
+        default=None,
+        metavar="low_pass.gyro,...",
+        help="sensors with a filter or coloured noise: low_pass, coloured, drift, line, delay",
+    )
+    p.add_argument(
         "--per-flight",
         type=names,
         default=None,
@@ -198,6 +205,7 @@ def _choices(arguments: argparse.Namespace) -> Any:
         "solver": solver,
         "initialisation": arguments.init,
         "disturbance": arguments.disturbance,
+        "noise_parts": arguments.noise_parts,
         "free": arguments.free,
         "fixed": arguments.fixed,
         "considered": arguments.considered,

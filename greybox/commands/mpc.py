@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,13 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("subject", metavar="MODEL.json|demo", help="model file of `greybox fit` or `learn`; demo: identify a "
                    "simulated vehicle with hidden effects from one flight first")  # fmt: skip
-    p.add_argument("--plant", metavar="MODULE:ATTRIBUTE", help="the vehicle that is flown, as in scenarios/plants (default: "
+    p.add_argument("--plant", metavar="MODULE:ATTRIBUTE", help="the vehicle that is flown, with reset, step, "
+                   "measure and truth (default: "
                    "the model itself, disturbed; Python code that is run, only what you trust)")  # fmt: skip
     p.add_argument("--log", nargs="+", default=[], metavar="LOG", help="real flights whose unexplained force and torque "
                    "disturb the model (default: the identified process noise)")  # fmt: skip
-    p.add_argument("--course", default="scenarios.courses:OBSTACLE_COURSE", metavar="MODULE:ATTRIBUTE", help="path and "
-                   "limits, a scenarios.courses.Course (default: a wall, a gap, a low ceiling)")  # fmt: skip
+    p.add_argument("--course", default="mpc_export.mission:OBSTACLE_COURSE", metavar="MODULE:ATTRIBUTE", help="path and "
+                   "limits, an mpc_export.mission.Course (default: a wall, a gap, a low ceiling)")  # fmt: skip
     p.add_argument("--flights", type=int, default=20, metavar="N", help="flights per controller (default 20)")
     p.add_argument("--level", type=float, default=0.1, metavar="P", help="share of flights that may cross a "
                    "limit (default 0.1)")  # fmt: skip
@@ -61,6 +63,21 @@ def _check(arguments: argparse.Namespace) -> None:
         raise GreyboxError("--pace takes 0.5 to 10", got=f"{arguments.pace:g}", fix="--pace 2")
 
 
+def _demo() -> tuple[Callable[[Path, Callable[[str], None]], dict[str, Path]], str]:
+    """What writes the demo's models into a folder, and its plant. Raises `GreyboxError`
+    where its vehicle, which comes with the checkout, is not there."""
+    from greybox.errors import GreyboxError
+
+    try:
+        from scenarios.courses.demo import PLANT, identify
+    except ModuleNotFoundError:
+        raise GreyboxError(
+            "the demo's simulated vehicle comes with the checkout of the project, not with the package",
+            fix="greybox mpc MODEL.json, or `make demo-mpc` in a checkout",
+        ) from None
+    return identify, PLANT
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where it refuses."""
     from greybox.files import dump_json, write_atomic, write_json
@@ -82,9 +99,9 @@ def run(arguments: argparse.Namespace) -> int:
         judged.say("mpc")
         return 1
     from greybox.report.mpc_report import format_table, mpc_report
-    from scenarios.studies.demo_mpc import prepare
-    from scenarios.studies.mpc_campaign import WATCHED, flights, kept, read_traces
-    from scenarios.studies.mpc_summary import summary
+    from mpc_export.mission.campaign import WATCHED, flights, kept, read_traces
+    from mpc_export.mission.prepare import Demo, prepare
+    from mpc_export.mission.summary import summary
 
     quiet = arguments.json == "-"
     began = time.perf_counter()
@@ -96,8 +113,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     ours = sys.argv[1:2] == ["mpc"]
     command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
+    demo = None
+    if arguments.subject == "demo":
+        identify, plant = _demo()
+        demo = Demo(identify=identify, plant=plant)
     flown = prepare(
-        arguments.subject, out, plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
+        arguments.subject, out, demo=demo,
+        plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
         risk=arguments.risk,
         flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
     )  # fmt: skip

@@ -53,31 +53,31 @@ def loaded(arguments: argparse.Namespace) -> IdentifiedModel:
 
 
 def read_flights_of(
+    arguments: argparse.Namespace,
     dynamics: Dynamics,
     paths: Sequence[str],
     *,
     rate: float | None = None,
-    mapping: str | None = None,
     trim: bool = True,
 ) -> Dataset:
     """Logs for a model: of a vehicle by its columns and airborne part; of any other model its
     inputs and outputs by their names, the whole record. No paths, no flights."""
+    from greybox.commands.flight_logs import read_flight_logs
     from greybox.data import Dataset
-    from greybox.data.logs import read_logs
     from greybox.model.layer import physics_of
 
     if not paths:
         return Dataset(flights=())
     physics = physics_of(dynamics)
     if physics is not None:
-        return read_logs(paths, physics.vehicle, rate=rate, trim=trim, mapping=mapping)
+        return read_flight_logs(arguments, paths, physics.vehicle, rate=rate, trim=trim)
     from greybox.estimation.linear.logs import ChannelSpec, read_records
 
     inputs, outputs = (
         [ChannelSpec(name=n, terms=((1.0, n),)) for n in layout.names]
         for layout in (dynamics.inputs, dynamics.outputs)
     )
-    found = read_records(paths, inputs, outputs, rate=rate, mapping=mapping)
+    found = read_records(paths, inputs, outputs, rate=rate, mapping=arguments.mapping)
     return Dataset(flights=found.flights)
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 
@@ -32,7 +33,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="the flights that the model was fitted to")
     p.add_argument("--of", required=True, type=names, metavar="a,b", help="parameters or noise levels (noise.sensor.p)")
     p.add_argument("--level", type=float, default=0.95, help="probability of the interval (default %(default)s)")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
     model_file_option(p)
     p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
@@ -88,7 +89,7 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
     if not beside.exists():
         raise DataError("no fit.json beside the model", where=arguments.model, fix="keep both files of the fit together")
     settings = read_json(beside, schema="greybox.fit/1")["settings"]
-    train = read_flights_of(model.dynamics, arguments.train, rate=1 / model.sample_time, mapping=arguments.mapping)
+    train = read_flights_of(arguments, model.dynamics, arguments.train, rate=1 / model.sample_time)
     if strangers := sorted(set(train.names) ^ set(model.trained_on)):
         raise DataError(
             f"flight {', '.join(strangers)}: not the flights of the fit", expected=", ".join(model.trained_on),

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 from greybox.errors import DataError
@@ -22,7 +23,7 @@ def add(commands: Any) -> None:
     )
     p.add_argument("model", metavar="MODEL.json", help="model file that `greybox fit` wrote")
     p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
-    p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
+    flight_log_options(p)
     horizon_options(p)
     p.add_argument(
         "--adapt", type=float, metavar="S", help="fit per-flight parameters on the first S seconds of each flight"
@@ -51,9 +52,12 @@ def run(arguments: argparse.Namespace) -> int:
     model = loaded(arguments)
     horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
     dataset = read_flights_of(
-        model.dynamics, arguments.log, rate=arguments.rate or 1.0 / model.sample_time,
-        trim=not arguments.keep_ground, mapping=arguments.mapping,
-    )  # fmt: skip
+        arguments,
+        model.dynamics,
+        arguments.log,
+        rate=arguments.rate or 1.0 / model.sample_time,
+        trim=not arguments.keep_ground,
+    )
     result = validate(
         model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
         progress=lambda line: print(line, file=sys.stderr, flush=True) if sys.stderr.isatty() else None,

@@ -88,3 +88,12 @@ class Weighed(Protocol):
     @property
     def inertia(self) -> Sequence[Sequence[float]]:
         """(3, 3) [kg m^2] about the centre of mass."""
+
+
+@runtime_checkable
+class TopSpeed(Protocol):
+    """An actuator that may know the speed of its rotors at full command."""
+
+    @property
+    def speed_max(self) -> float | None:
+        """[rad/s]; None: not stated."""

@@ -248,4 +248,5 @@ def _flight(raw: RawLog, pieces: list[Segment], notes: list[str], where: str) ->
         sha256=raw.sha256,
         notes=tuple(notes),
         noncausal=raw.noncausal,
+        removed=raw.removed,
     )

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.channel import channel, is_canonical
+from greybox.data.raw import Removed
 from greybox.data.segment import Segment
 from greybox.errors import DataError, UnknownNameError
 from greybox.plots import Curve, panels
@@ -25,8 +26,9 @@ class Flight:
     """One flight (one log): its segments in order of time and where they came from.
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
-    conditioning did, `noncausal` are channels whose values were smoothed with later samples. Raises `DataError` where
-    there is no segment or the sample times differ.
+    conditioning did, `removed` which samples were taken as missing because no craft can have made them, `noncausal` are
+    channels whose values were smoothed with later samples. Raises `DataError` where there is no segment or the sample
+    times differ.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Flight:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     noncausal: frozenset[str] = frozenset()
+    removed: tuple[Removed, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -142,6 +145,11 @@ class Dataset(Shown):
     def notes(self) -> Mapping[str, tuple[str, ...]]:
         """Per flight what conditioning did."""
         return {f.name: f.notes for f in self.flights}
+
+    @property
+    def removed(self) -> tuple[Removed, ...]:
+        """Samples of all flights that were taken as missing because no craft can have made them."""
+        return tuple(r for f in self.flights for r in f.removed)
 
     @property
     def hash(self) -> str:

@@ -629,7 +629,8 @@ def engine_for(
     """The engine of a model and a set of active parameters, built once per process; see `Engine`
     for `quick`.
 
-    One without active parameters is any other of that model: they run the same step.
+    One that is there already with more parameters serves: those that were not asked for are not
+    carried.
     """
     active = tuple(active)
     try:
@@ -638,10 +639,14 @@ def engine_for(
         shelf = {}
     key = active, sensitive
     if key not in shelf:
-        same = [e for (_, has), e in shelf.items() if not active and (has or not sensitive)]
+        larger = [
+            e
+            for (own, has), e in shelf.items()
+            if set(active) <= set(own) and has >= (sensitive and bool(active))
+        ]
         shelf[key] = (
-            same[0].select(())
-            if same
+            min(larger, key=lambda e: len(e.active)).select(active)
+            if larger
             else Engine(
                 dynamics, active, use_compiler=use_compiler, sensitive=sensitive, quick=quick
             )

@@ -31,7 +31,7 @@ from greybox.estimation.unknown import Unknown
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
-from greybox.model.noise import with_disturbance
+from greybox.model.noise import part_named, with_disturbance, with_parts
 from greybox.model.parameter import ParameterValues
 from greybox.statistics.blocks import block_samples
 from greybox.statistics.whiteness import is_coloured
@@ -52,17 +52,18 @@ def fit(
     """Fit `model` to `data` by the prediction error method.
 
     The choices are keywords, fields of `FitOptions` with its defaults, or `options` as a whole;
-    keywords go before it: predictor, criterion, solver, initialisation, disturbance, free, fixed,
-    per_flight, shared, values, priors, flight_priors, noise, estimate_noise, estimate_initial,
-    seed, starts, build, use_compiler.
+    keywords go before it: predictor, criterion, solver, initialisation, disturbance, noise_parts,
+    free, fixed, per_flight, shared, values, priors, flight_priors, noise, estimate_noise,
+    estimate_initial, seed, starts, build, use_compiler.
 
     predictor x criterion x solver x initialisation are names or objects (see greybox.estimation).
     `disturbance` names the process-noise groups ("force", "torque") that also get a slowly varying
-    disturbance state. Which parameters are free, fixed, per flight or shared, start values, priors
-    and noise levels: see `greybox.estimation.problem.make_problem`. `initialisation`: "nominal",
-    "noise" (start noise levels from the data), "equation-error", "multistart" (`starts` random
-    starts with `seed`) or "innovation" (a maximum likelihood fit in innovation form first, whose
-    estimates and noise levels the predictor proper starts from: what a predictor without noise
+    disturbance state, `noise_parts` what else of the noise is correlated in time. Which parameters
+    are free, fixed, per flight or shared, start values, priors and noise levels: see
+    `greybox.estimation.problem.make_problem`. `initialisation`: "nominal", "noise" (start noise
+    levels from the data), "equation-error", "multistart" (`starts` random starts with `seed`) or
+    "innovation" (a maximum likelihood fit in innovation form first, whose estimates and noise
+    levels the predictor proper starts from: what a predictor without noise
     levels of its own wants). `progress(iteration, cost, decrement)` is called every iteration. The
     result says whether the fit converged; a fit that did not never looks like one that did. Raises
     `DataError`, `ModelError`, `UnknownNameError` (of a choice, too), and `Interrupted`, a
@@ -70,7 +71,8 @@ def fit(
     """
     began = time.perf_counter()
     options = FitOptions.of(options, choices)
-    dynamics = with_disturbance(model, options.disturbance)
+    dynamics = with_parts(model, map(part_named, options.noise_parts))
+    dynamics = with_disturbance(dynamics, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
     _demand_considerable(dynamics, options)
     first: Fit | None = None
@@ -155,6 +157,7 @@ def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
         "solver": options.chosen_solver().name,
         "initialisation": options.initialisation,
         "disturbance": list(options.disturbance),
+        "noise_parts": list(options.noise_parts),
         "estimate_noise": options.estimate_noise,
         "seed": options.seed,
         "per_flight": sorted(

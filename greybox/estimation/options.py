@@ -25,12 +25,23 @@ T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., object])
 Options = TypeVar("Options", bound="DataclassInstance")
 
+_TUPLES = (
+    "disturbance",
+    "noise_parts",
+    "free",
+    "fixed",
+    "considered",
+    "per_flight",
+    "shared",
+    "build",
+)
 _FLAGS = {
     "predictor": "--predictor",
     "criterion": "--criterion",
     "solver": "--solver",
     "initialisation": "--init",
     "disturbance": "--disturbance",
+    "noise_parts": "--noise-parts",
     "free": "--free",
     "fixed": "--fixed",
     "considered": "--considered",
@@ -52,6 +63,7 @@ class FitChoices(TypedDict, total=False):
     solver: str | Solver
     initialisation: str
     disturbance: Iterable[str]
+    noise_parts: Iterable[str]
     free: Iterable[str] | None
     fixed: Iterable[str]
     considered: Iterable[str]
@@ -85,6 +97,9 @@ class FitOptions:
     "multistart" or "innovation" (a maximum likelihood fit in innovation form first)."""
     disturbance: tuple[str, ...] = ()
     """Process-noise groups ("force", "torque") that also get a slowly varying disturbance state."""
+    noise_parts: tuple[str, ...] = ()
+    """What else of the noise is correlated in time, as kind.sensor: "low_pass.gyro" (a filter),
+    "coloured.accelerometer", ... (`greybox.model.noise.KINDS`); start values among `values`."""
     free: tuple[str, ...] | None = None
     """Exactly these parameters are free, less `fixed`; None: those with a prior (sigma > 0)."""
     fixed: tuple[str, ...] = ()
@@ -114,13 +129,13 @@ class FitOptions:
     starts: int = 8
     """Random starts of "multistart"."""
     build: tuple[str, ...] | None = None
-    """Parameters that sensitivities are built for, at least the free ones; None: these. Fits of
-    many subsets share one build."""
+    """Parameters that sensitivities are built for besides the free ones. Fits of many subsets share
+    one build."""
     use_compiler: bool = True
     """Whether the model runs as compiled C where there is a compiler; False: in CasADi's VM."""
 
     def __post_init__(self) -> None:
-        for name in ("disturbance", "free", "fixed", "considered", "per_flight", "shared", "build"):
+        for name in _TUPLES:
             given: Iterable[str] | None = getattr(self, name)
             object.__setattr__(self, name, None if given is None else tuple(given))
         for name in ("values", "priors", "flight_priors", "noise"):

@@ -290,8 +290,8 @@ def make_problem(
     copy. `noise` gives levels by name, in SI units, for one component ("noise.sensor.p") or a whole
     group ("noise.sensor.position", "noise.process.torque"); the longer name wins.
     `estimate_noise="process"` holds the sensors' levels (a data sheet's, or what the time stamps
-    allow). `build` names the parameters that sensitivities are built for, at least the free ones:
-    fits of many subsets share one build. Solver, initialisation and `disturbance` are matters of
+    allow). `build` names parameters that sensitivities are built for besides the free ones: fits of
+    many subsets share one build. Solver, initialisation and `disturbance` are matters of
     `fit` and not looked at here. Raises `UnknownNameError`, `DataError`, `ModelError`.
     """
     o = FitOptions.of(options, choices)
@@ -317,7 +317,7 @@ def make_problem(
     own = {d.name for d in dynamics.parameters if d.scope == "flight"} | set(known(o.per_flight))
     own -= set(known(o.shared))
     dt = sample_time(dataset)
-    wanted = {*(chosen if o.build is None else known(o.build)), *known(o.considered)}
+    wanted = {*chosen, *known(o.build or ()), *known(o.considered)}
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
     engine = engine_for(
         dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)

@@ -21,15 +21,17 @@ import casadi as ca
 from greybox.errors import UnknownNameError
 from greybox.frames import euler_zyx, rotation_matrix
 from greybox.model.dynamics import Dynamics
+from greybox.model.noise import noise_states
 from greybox.symbolic import Expr, Layout, Signal
 
 
 def _blocks(dynamics: Dynamics) -> dict[str, list[int]]:
     """State block ("velocity") -> places of its components in the state vector."""
+    noise = noise_states(dynamics)
     out: dict[str, list[int]] = {}
     for i, name in enumerate(dynamics.states.names):
         head = name.rpartition(".")[0]
-        if head and not head.startswith("disturbance"):
+        if head and name not in noise:
             out.setdefault(head, []).append(i)
     return out
 
@@ -48,7 +50,8 @@ def available(dynamics: Dynamics) -> Mapping[str, str]:
     if "position" in blocks:
         out["height"] = "m"
     out |= {s.name: s.unit for s in dynamics.inputs}
-    out |= {s.name: s.unit for s in dynamics.states if not s.name.startswith("disturbance.")}
+    noise = noise_states(dynamics)
+    out |= {s.name: s.unit for s in dynamics.states if s.name not in noise}
     return out
 
 
@@ -57,7 +60,8 @@ def default_features(dynamics: Dynamics) -> tuple[str, ...]:
     rotor state); of any other model the states and inputs."""
     there = available(dynamics)
     if "p" not in there or "rate" not in _blocks(dynamics):
-        return (*(n for n in dynamics.states.names if not n.startswith("disturbance.")), *dynamics.inputs.names)
+        noise = noise_states(dynamics)
+        return (*(n for n in dynamics.states.names if n not in noise), *dynamics.inputs.names)
     rotors = [n for n in there if n[:2] == "nu"] or [n for n in dynamics.inputs.names if n != "vbat"]
     return (*(n for n in there if n.split(".")[0] == "body_velocity"), "p", "q", "r", *rotors)
 

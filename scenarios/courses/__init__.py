@@ -1,6 +1,5 @@
-"""Courses that a controller has to fly: a path, limits that bind along it, gusts, and the seeds that judge."""
+"""The craft that controllers fly over courses (mpc_export.mission), with its gusts."""
 
-from scenarios.courses.course import Course, Leg, Plane
-from scenarios.courses.obstacle_course import GUSTS, JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, vehicle
+from scenarios.courses.craft import GUSTS, vehicle
 
-__all__ = ["GUSTS", "JUDGING_SEEDS", "OBSTACLE_COURSE", "TRAINING_SEEDS", "Course", "Leg", "Plane", "vehicle"]
+__all__ = ["GUSTS", "vehicle"]

@@ -16,17 +16,25 @@ class Air:
 
     rotor_drag and inflow [kg/rad]: force at a hub per rotor speed and airspeed, in the disc plane
     and along its axis. parasitic [N s^2/m^2]: drag of the body per axis, quadratic in airspeed.
+    lift [N s^2/m^2] and flapping [kg m/rad]: thrust per squared airspeed in the disc plane and
+    moment per rotor speed and airspeed (nose up in forward flight); RotorPy only.
     wind [m/s]: mean wind, world. gusts [m/s]: standard deviation of the wind on every axis about
     its mean. swirl [rad/s^2]: standard deviation of the angular acceleration that gusts cause by
-    themselves. gust_time [s]: correlation time of both.
+    themselves. push [N] and turn [rad/s^2]: standard deviations per axis of a force and of an
+    angular acceleration by which gusts act in every simulator, drag or not. gust_time [s]:
+    correlation time of all of them.
     """
 
     rotor_drag: float = 0.0
     inflow: float = 0.0
     parasitic: Vector = ZERO
+    lift: float = 0.0
+    flapping: float = 0.0
     wind: Vector = ZERO
     gusts: float = 0.0
     swirl: float = 0.0
+    push: float = 0.0
+    turn: float = 0.0
     gust_time: float = 0.8
 
 

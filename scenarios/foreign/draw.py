@@ -20,11 +20,11 @@ import numpy as np
 
 from scenarios.foreign.craft import Air, Craft
 from scenarios.foreign.flights import DURATION, TEST, TRAIN, fly_plan
+from scenarios.foreign.hidden import with_battery
 from scenarios.foreign.in_house import in_house_plant
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator
 from scenarios.foreign.stranger import Knowledge, nominal_values, vehicle_text
 from scenarios.plants.airframe import Airframe, plus_layout, x_layout
-from scenarios.plants.battery import Battery
 from scenarios.plants.flight_log import Log, write_log
 from scenarios.plants.noise import SensorNoise
 from scenarios.plants.quadrotor import Quadrotor
@@ -214,23 +214,7 @@ def hide(craft: Craft, hidden: Sequence[str], random: np.random.Generator) -> Cr
     if "uneven_rotors" in hidden:
         craft = replace(craft, uneven=tuple(deltas.tolist()))
     if "battery" in hidden:
-        cells = 1.0 if frame.mass < 0.1 else 3.0 if frame.mass < 1.0 else 6.0
-        full_current = 60.0 * float(frame.mass) / cells
-        # half of the charge is gone after 200 s at full current: voltage falls well within a flight
-        battery = Battery(
-            full=4.1 * cells,
-            empty=3.3 * cells,
-            capacity=400.0 * full_current,
-            resistance=0.25 * cells / full_current,
-            idle_current=0.02 * full_current,
-            full_current=full_current,
-        )
-        craft = replace(
-            craft,
-            airframe=replace(craft.airframe, nominal_voltage=3.8 * cells),
-            battery=battery,
-            sag=float(sag),
-        )
+        craft = with_battery(replace(craft, sag=float(sag)))
     if "wind" in hidden:
         blowing = (float(wind * np.cos(angle)), float(wind * np.sin(angle)), 0.0)
         craft = replace(craft, air=replace(craft.air, wind=blowing))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -20,13 +21,18 @@ import numpy as np
 import scipy  # noqa: F401
 
 from scenarios.foreign.craft import Craft
+from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
+from scenarios.plants.effects.base import PlantEffect
 from scenarios.plants.noise import SensorNoise
 from scenarios.plants.vectors import (
     Quaternion,
     Vector,
+    add,
     apply,
     inverse_symmetric,
+    multiply,
+    quaternion_of,
     rotation,
     subtract,
 )
@@ -65,6 +71,7 @@ class DroneModelsPlant(ForeignPlant):
         *,
         sensors: SensorNoise | None = None,
         sample_time: float = 0.01,
+        effects: Sequence[PlantEffect] = (),
         fitted: str | None = None,
     ) -> None:
         frame = craft.airframe
@@ -102,7 +109,7 @@ class DroneModelsPlant(ForeignPlant):
         )
         self._rate = ca.Function("rate", [state, command], [free])
         self._step = _runge_kutta(self._rate)
-        super().__init__(craft, sensors=sensors, sample_time=sample_time)
+        super().__init__(craft, sensors=sensors, sample_time=sample_time, effects=effects)
 
     def _start(
         self, position: Vector, velocity: Vector, attitude: Quaternion, rates: Vector, nu: float
@@ -111,25 +118,28 @@ class DroneModelsPlant(ForeignPlant):
         speeds = [nu * self._scale] * len(self.airframe.rotors)
         self._state = np.array([*position, x, y, z, w, *velocity, *rates, *speeds, *[0.0] * 6])
 
-    def _disturb(self, wind: Vector, twist: Vector) -> None:
-        """Write the force of the wind and the moment of the gusts into the state, both in the
-        world."""
+    def _disturb(self, wind: Vector, twist: Vector, load: Load, duration: float = 0.0) -> None:
+        """Write the force of wind and load, and the moment of gusts and load, into the state, both
+        in the world. The load turns with the body: its direction is that half of `duration` on."""
         x, y, z, w = self._state[3:7].tolist()
-        self._state[17:20] = self._linear_drag * np.array(wind)
-        self._state[20:23] = apply(rotation((w, x, y, z)), twist)
+        p, q, r = (0.5 * duration * float(v) for v in self._state[10:13])
+        ahead = rotation(multiply((w, x, y, z), quaternion_of((p, q, r))))
+        self._state[17:20] = self._linear_drag * np.array(wind) + apply(ahead, load.force)
+        twisted = apply(rotation((w, x, y, z)), twist)
+        self._state[20:23] = add(twisted, apply(ahead, load.moment))
 
     def _hold(
-        self, target: tuple[float, ...], wind: Vector, twist: Vector, duration: float
+        self, target: tuple[float, ...], wind: Vector, twist: Vector, load: Load, duration: float
     ) -> None:
-        self._disturb(wind, twist)
+        self._disturb(wind, twist, load, duration)
         count = math.ceil(duration / (STEP_PER_LAG * self.craft.lag) - 1e-9)
         aim = self._scale * np.array(target)
         for _ in range(count):
             self._state = np.array(self._step(self._state, aim, duration / count)).ravel()
             self._state[3:7] /= np.linalg.norm(self._state[3:7])
 
-    def _look(self, wind: Vector, twist: Vector) -> Motion:
-        self._disturb(wind, twist)
+    def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
+        self._disturb(wind, twist, load)
         state = self._state.tolist()
         rate = np.array(self._rate(self._state, self._state[13:17])).ravel().tolist()
         x, y, z, w = state[3:7]

@@ -20,11 +20,15 @@ class Gusts:
         self._keep = math.exp(-sample_time / air.gust_time)
         self._random = np.random.default_rng([seed, 3])
         self._state = self._random.standard_normal(6)
+        # of their own, so that a craft without them feels the same wind
+        self._loading = np.random.default_rng([seed, 4])
+        self._load = self._loading.standard_normal(6)
 
     def advance(self) -> None:
         """Go to the next sample."""
         fresh = math.sqrt(1.0 - self._keep**2)
         self._state = self._keep * self._state + fresh * self._random.standard_normal(6)
+        self._load = self._keep * self._load + fresh * self._loading.standard_normal(6)
 
     @property
     def wind(self) -> Vector:
@@ -37,4 +41,16 @@ class Gusts:
     def swirl(self) -> Vector:
         """Angular acceleration by which the gusts turn the craft now."""
         x, y, z = (self._air.swirl * float(s) for s in self._state[3:])
+        return (x, y, z)
+
+    @property
+    def push(self) -> Vector:
+        """Force [N, world] of the gusts themselves."""
+        x, y, z = (self._air.push * float(s) for s in self._load[:3])
+        return (x, y, z)
+
+    @property
+    def turn(self) -> Vector:
+        """Angular acceleration [rad/s^2, body] by which they turn the craft in every simulator."""
+        x, y, z = (self._air.turn * float(s) for s in self._load[3:])
         return (x, y, z)

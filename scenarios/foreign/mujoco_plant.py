@@ -10,12 +10,15 @@ moments that damp the rates.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenarios.foreign.craft import Craft
+from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
+from scenarios.plants.effects.base import PlantEffect
 from scenarios.plants.noise import SensorNoise
 from scenarios.plants.vectors import Quaternion, Vector, add, apply, cross, rotation, subtract
 
@@ -37,13 +40,18 @@ class MuJoCoPlant(ForeignPlant):
     simulator = "mujoco"
 
     def __init__(
-        self, craft: Craft, *, sensors: SensorNoise | None = None, sample_time: float = 0.01
+        self,
+        craft: Craft,
+        *,
+        sensors: SensorNoise | None = None,
+        sample_time: float = 0.01,
+        effects: Sequence[PlantEffect] = (),
     ) -> None:
         self._model = mujoco.MjModel.from_xml_string(body_description(craft))
         self._data = mujoco.MjData(self._model)
         self._nu = np.zeros(len(craft.airframe.rotors))
         self._strength = 1.0 + np.array(craft.uneven)
-        super().__init__(craft, sensors=sensors, sample_time=sample_time)
+        super().__init__(craft, sensors=sensors, sample_time=sample_time, effects=effects)
 
     def _start(
         self, position: Vector, velocity: Vector, attitude: Quaternion, rates: Vector, nu: float
@@ -61,15 +69,19 @@ class MuJoCoPlant(ForeignPlant):
         maps = (self.airframe.thrust, self.airframe.torque)
         return np.concatenate([self._strength * (c0 + nu * (c1 + nu * c2)) for c0, c1, c2 in maps])
 
-    def _apply(self, rotors: NDArray[np.float64], wind: Vector, twist: Vector) -> None:
-        """Forces and torques of the rotors, wind, and the moment of the gusts."""
+    def _apply(
+        self, rotors: NDArray[np.float64], wind: Vector, twist: Vector, load: Load
+    ) -> None:
+        """Forces and torques of the rotors, wind, the moment of the gusts, and the load."""
         self._data.ctrl[:] = rotors
         self._model.opt.wind[:] = wind
         w, x, y, z = self._data.qpos[3:7].tolist()
-        self._data.xfrc_applied[1, 3:6] = apply(rotation((w, x, y, z)), twist)
+        turn = rotation((w, x, y, z))
+        self._data.xfrc_applied[1, :3] = apply(turn, load.force)
+        self._data.xfrc_applied[1, 3:6] = apply(turn, add(twist, load.moment))
 
     def _hold(
-        self, target: tuple[float, ...], wind: Vector, twist: Vector, duration: float
+        self, target: tuple[float, ...], wind: Vector, twist: Vector, load: Load, duration: float
     ) -> None:
         count = math.ceil(duration / SUBSTEP - 1e-9)
         length = duration / count
@@ -79,12 +91,12 @@ class MuJoCoPlant(ForeignPlant):
             begin, middle = self._nu, aim + half * (self._nu - aim)
             self._nu = aim + half * (middle - aim)
             mean = self._rotors(begin) + 4.0 * self._rotors(middle) + self._rotors(self._nu)
-            self._apply(mean / 6.0, wind, twist)
+            self._apply(mean / 6.0, wind, twist, load)
             mujoco.mj_step(self._model, self._data)
 
-    def _look(self, wind: Vector, twist: Vector) -> Motion:
+    def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
         data = self._data
-        self._apply(self._rotors(self._nu), wind, twist)
+        self._apply(self._rotors(self._nu), wind, twist, load)
         mujoco.mj_forward(self._model, data)
         w, x, y, z = data.qpos[3:7].tolist()
         turn = rotation((w, x, y, z))
@@ -103,7 +115,7 @@ class MuJoCoPlant(ForeignPlant):
 
     def own_sensors(self) -> tuple[Vector, Vector]:
         """What MuJoCo's own accelerometer and gyro read at the IMU [m/s^2, rad/s]."""
-        self._look(self._gusts.wind, self._twist())
+        self._now()
         ax, ay, az, p, q, r = self._data.sensordata.tolist()
         return (ax, ay, az), (p, q, r)
 

@@ -3,13 +3,14 @@ Paulos, Kumar 2023).
 
 What differs there: quaternions are (x, y, z, w), positions are relative to the centre of mass, a
 rotor's direction is the sign of its torque on the body, gravity is 9.81 m/s^2, thrust and torque
-are squares of the rotor speed, and air acts only by wind and drag (there is no free moment, so
-gusts do not swirl).
+are squares of the rotor speed, and air acts only by wind and drag (gusts do not swirl). Loads from
+outside join the forces of its rotors.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from numpy.typing import NDArray
 from scipy.integrate import OdeSolver
 
 from scenarios.foreign.craft import Craft
+from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
+from scenarios.plants.effects.base import PlantEffect
 from scenarios.plants.noise import SensorNoise
 from scenarios.plants.vectors import Quaternion, Vector, subtract
 
@@ -65,6 +68,17 @@ class FixedRungeKutta(OdeSolver):
         return True, None
 
 
+class LoadedMultirotor(Multirotor):
+    """RotorPy's vehicle with a load on its body."""
+
+    load = Load()
+
+    def compute_body_wrench(self, *seen: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Force and moment of RotorPy, and the load."""
+        force, moment = super().compute_body_wrench(*seen)
+        return force + np.array(self.load.force), moment + np.array(self.load.moment)
+
+
 class RotorPyPlant(ForeignPlant):
     """A craft in RotorPy. Raises ValueError for thrust or torque maps that are not squares, or
     another gravity."""
@@ -72,7 +86,12 @@ class RotorPyPlant(ForeignPlant):
     simulator = "rotorpy"
 
     def __init__(
-        self, craft: Craft, *, sensors: SensorNoise | None = None, sample_time: float = 0.01
+        self,
+        craft: Craft,
+        *,
+        sensors: SensorNoise | None = None,
+        sample_time: float = 0.01,
+        effects: Sequence[PlantEffect] = (),
     ) -> None:
         frame, air = craft.airframe, craft.air
         if any((*frame.thrust[:2], *frame.torque[:2])):
@@ -88,7 +107,7 @@ class RotorPyPlant(ForeignPlant):
         xx, yy, zz = frame.inertia
         xy, xz, yz = frame.products
         drag = air.parasitic
-        self._vehicle = Multirotor(
+        self._vehicle = LoadedMultirotor(
             {
                 "mass": frame.mass,
                 **{"Ixx": xx, "Iyy": yy, "Izz": zz, "Ixy": xy, "Ixz": xz, "Iyz": yz},
@@ -100,14 +119,15 @@ class RotorPyPlant(ForeignPlant):
                 "rotor_speed_max": 2.0 * speed,
                 "k_eta": frame.thrust[2] / speed**2,
                 "k_m": frame.torque[2] / speed**2,
-                **{"k_d": air.rotor_drag, "k_z": air.inflow, "k_h": 0.0, "k_flap": 0.0},
+                **{"k_d": air.rotor_drag, "k_z": air.inflow},
+                **{"k_h": air.lift, "k_flap": -air.flapping},
                 "tau_m": craft.lag,
                 "motor_noise_std": 0.0,
             },
             aero=True,
             integrator_kwargs={"method": FixedRungeKutta, "longest": STEP_PER_LAG * craft.lag},
         )
-        super().__init__(craft, sensors=sensors, sample_time=sample_time)
+        super().__init__(craft, sensors=sensors, sample_time=sample_time, effects=effects)
 
     def _start(
         self, position: Vector, velocity: Vector, attitude: Quaternion, rates: Vector, nu: float
@@ -126,14 +146,16 @@ class RotorPyPlant(ForeignPlant):
         return np.asarray(self.craft.speed_max * nu * self._strength)
 
     def _hold(
-        self, target: tuple[float, ...], wind: Vector, twist: Vector, duration: float
+        self, target: tuple[float, ...], wind: Vector, twist: Vector, load: Load, duration: float
     ) -> None:
         self._state["wind"] = np.array(wind)
+        self._vehicle.load = load
         command = {"cmd_motor_speeds": self._speeds(np.array(target))}
         self._state = self._vehicle.step(self._state, command, duration)
 
-    def _look(self, wind: Vector, twist: Vector) -> Motion:
+    def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
         state = self._state | {"wind": np.array(wind)}
+        self._vehicle.load = load
         rate = self._vehicle.statedot(
             state, {"cmd_motor_speeds": state["rotor_speeds"]}, self.sample_time
         )
@@ -150,12 +172,15 @@ class RotorPyPlant(ForeignPlant):
 
     @property
     def exact(self) -> dict[str, float]:
-        """Rotor drag, inflow and body drag: RotorPy's own forms are those of the catalogue."""
+        """RotorPy's own forms are those of the catalogue (its flapping moment with the opposite
+        sign)."""
         air = self.craft.air
         named = {
             "rotor_drag.k_x": air.rotor_drag,
             "rotor_drag.k_y": air.rotor_drag,
             "axial_inflow.k_z": air.inflow,
+            "translational_lift.k_h": air.lift,
+            "blade_flapping.k_flap": air.flapping,
         }
         named |= dict(
             zip(("parasitic_drag.c_x", "parasitic_drag.c_y", "parasitic_drag.c_z"), air.parasitic)

@@ -108,12 +108,15 @@ class Quadrotor:
         attitude: tuple[Number, Number, Number, Number] = (1.0, 0.0, 0.0, 0.0),
         rates: Vector = ZERO,
         charge_used: Number = 0.0,
+        nu: Sequence[Number] | None = None,
+        sent: Sequence[tuple[float, Any]] = (),
     ) -> None:
-        """Start anew at t = 0 with the rotors turning at hover speed.
+        """Start anew at t = 0 with the rotors turning at hover speed, or at nu.
 
         seed: an integer, or a sequence of B integers for a batch. position [m] and velocity [m/s] are those of the
         centre of mass, world; attitude (w, x, y, z); rates [rad/s]; charge_used [A s] is what the battery has already
-        given.
+        given. nu: speed of each rotor, where it is not that of hover; sent: commands that were sent before, as pairs
+        (time < 0 [s], command), oldest first.
         """
         self._batch = None if isinstance(seed, int | np.integer) else len(seed)
         if self._members is not None and self._batch != self._members:
@@ -126,6 +129,11 @@ class Quadrotor:
         self._actuators.reset(self._spread(self.airframe.hover_speed))
         self.voltage = self._voltage()
         self._actuators.settle(self.voltage)
+        for when, command in sent:
+            self._actuators.hold(when, self._columns(command))
+        if nu is not None:
+            self._actuators.nu = [self._spread(v) for v in nu]
+            self.voltage = self._voltage()
         self._draws = Draws(seed)
         self._disturbance = Disturbance(self.process, self.sample_time)
         self._row = self._draws.row()

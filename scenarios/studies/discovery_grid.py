@@ -32,6 +32,7 @@ from typing import Any
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
+from greybox.files import append_json_line
 from scenarios.studies.discovery_cells import (
     COLUMNS,
     ERRORS,
@@ -51,7 +52,7 @@ from scenarios.studies.discovery_cells import (
 )
 from scenarios.studies.discovery_oracle import oracle
 from scenarios.studies.discovery_summary import summary, write_docs
-from scenarios.studies.rows import append_row, open_ended, read_rows
+from scenarios.studies.rows import open_ended, read_rows
 
 __all__ = ["ERRORS", "MAKERS", "SIGMA", "cases", "flights", "judge", "main", "run", "vehicle_of"]
 CHUNK = 24
@@ -198,12 +199,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             with concurrent.futures.ProcessPoolExecutor(options.jobs) as pool:
                 for future in concurrent.futures.as_completed([pool.submit(_whole, *w) for w in work]):
                     for row in future.result():
-                        append_row(path, row)
+                        append_json_line(path, row)
                         _say(row)
         else:
             for cell, seeds in work:
                 for row in run(cell, seeds):
-                    append_row(path, row)
+                    append_json_line(path, row)
                     _say(row)
         rows = read_rows(path)
     print(summary(rows))

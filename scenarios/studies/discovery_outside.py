@@ -40,6 +40,7 @@ from greybox.discovery.result import Discovery
 from greybox.discovery.veto import HeldOut
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
+from greybox.files import append_json_line
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect
@@ -47,7 +48,7 @@ from scenarios.plants.presets import x250
 from scenarios.plants.quadrotor import Quadrotor
 from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
 from scenarios.studies.discovery_oracle import AHEAD, ahead
-from scenarios.studies.rows import append_row, open_ended, read_rows
+from scenarios.studies.rows import open_ended, read_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             row = run(name, seed, learn=options.learn)
             rows.append(row)
-            append_row(path, row)
+            append_json_line(path, row)
             laws = "; ".join(u["proposal"] or u["channel"] for u in row["unnamed"])
             print(
                 f"{seed:5d} {name:18s} {row['verdict']:16s} {', '.join(row['names']) or '-':30s} | {laws or '-'} "

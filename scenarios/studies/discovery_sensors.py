@@ -28,6 +28,7 @@ from greybox.data.checks import check_logs
 from greybox.data.logs import read_logs
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
+from greybox.files import append_json_line
 from greybox.model.effects import CATALOGUE
 from scenarios.excitation.injection import rich_excitation
 from scenarios.excitation.waypoints import RandomWaypoints
@@ -35,7 +36,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
 from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
-from scenarios.studies.rows import append_row, open_ended, read_rows, wilson
+from scenarios.studies.rows import open_ended, read_rows, wilson
 
 EXPECTED = {
     "pose_delay": {"pose_delay"}, "jitter": {"pose_delay"}, "low_pass": {"sensor_delay"}, "drift": {"gyro_bias"},
@@ -177,7 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             row = run(options.vehicle, ingredients, effect, seed)
             rows.append(row)
-            append_row(path, row)
+            append_json_line(path, row)
             print(line(row), flush=True)
     print(summary(rows))
 

@@ -52,7 +52,7 @@ PAGES = {
         "--test B3_figure8_fast_rep1.csv.gz --adapt 5 --out learn",
         "learn/report.html", "",
     ),
-    "mpc": Page("scenarios.studies.demo_mpc --out mpc", "mpc/report.html", "How near the limits every controller came"),
+    "mpc": Page("scenarios.courses.demo --out mpc", "mpc/report.html", "How near the limits every controller came"),
 }  # fmt: skip
 
 

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import argparse
 import gzip
-import json
-import os
 from pathlib import Path
 from typing import Any
 
 from scipy.stats import binomtest
 
+from greybox.files import read_json_lines
+
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Rows of a file, none where it is not there; a line that was cut off counts as not there."""
-    rows = []
-    text = "" if not path.exists() else gzip.decompress(path.read_bytes()).decode() if kept(path) else path.read_text()
-    for line in text.splitlines():
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return rows
+    if not path.exists():
+        return []
+    return read_json_lines(gzip.decompress(path.read_bytes()).decode() if kept(path) else path.read_text())
 
 
 def kept(path: Path) -> bool:
@@ -33,15 +28,6 @@ def open_ended(path: Path, parser: argparse.ArgumentParser) -> None:
     """Refuse, before anything is flown, to add to results that are kept."""
     if kept(path):
         parser.error(f"{path}: results that are kept can only be summed up; give --out another file to fly")
-
-
-def append_row(path: Path, row: dict[str, Any]) -> None:
-    """One line, in one write, on the disk when this returns; a line that was cut off before it stays alone."""
-    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
-    with path.open("a") as stream:
-        stream.write(("" if whole else "\n") + json.dumps(row) + "\n")
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:

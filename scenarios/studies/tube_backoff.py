@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from greybox.errors import GreyboxError
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
+from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.ipopt import IpoptSolver
 from mpc_export.tube.stages import block
-from scenarios.courses import TRAINING_SEEDS
 from scenarios.studies.tube_mpc import PROBLEM, controller, flight, models
 
 Array = NDArray[np.float64]

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from greybox.files import write_json
+from mpc_export.mission import JUDGING_SEEDS
+from mpc_export.mission.model_plant import RehearsedPlant
 from mpc_export.tube.controller import TubeController
-from scenarios.courses import JUDGING_SEEDS
 from scenarios.studies.tube_mpc import DT, PROBLEM, TRUE, controller, flight, models
-from scenarios.studies.tube_rehearsal import RehearsedPlant
 
 Array = NDArray[np.float64]
 GROUPS = {"position": 0, "velocity": 3, "attitude": 6, "rate": 9}

@@ -1,6 +1,6 @@
 """Does a tube keep its promise? Controllers with the same solver and different models fly a course in gusts.
 
-One training flight identifies the models; then every controller flies the obstacle course (scenarios/courses) with the
+One training flight identifies the models; then every controller flies the obstacle course (mpc_export/mission) with the
 seeds that judge:
 
     nominal     what the data sheet says, noise levels from the training flight
@@ -8,7 +8,7 @@ seeds that judge:
     hybrid      pem + Gaussian process, mean only; no tightening
     tube-20,    hybrid, planes and tilt tightened by the covariance of the closed loop for a risk of 20, 10, 5 % per flight;
     tube-10,    the number of standard deviations comes from rehearsals: flights against the identified model itself, with
-    tube-5      its noise, parameter errors and learned errors drawn (tube_rehearsal.py). No flight of the plant is used
+    tube-5      its noise, parameter errors and learned errors drawn (mpc_export.mission.model_plant). No other flight
     boole-10,   the same at 10 %, standard deviations by Boole's inequality over touched samples, or by passages with the
     passage-10  closed loop's correlation (mpc_export/tube/risk.py); touched limits counted on training flights
     white-10,   tube-10 with the learned part's error fresh at every stage; with ellipsoids that hold bounded disturbances
@@ -41,6 +41,7 @@ from scipy.stats import binomtest
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
+from greybox.files import append_json_line
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
@@ -48,28 +49,21 @@ from greybox.model.vehicle import read_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
+from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE
+from mpc_export.mission.flight import CRASH, REACH, tracking_cost
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem, Weights
-from scenarios.courses import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
+from scenarios.courses import vehicle
+from scenarios.courses.demo import EFFECTS, ERRORS, HELD, SIGMA, training_log
 from scenarios.plants.controller import Setpoint
-from scenarios.plants.flight_log import fly
 from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
-from scenarios.studies.rows import append_row, read_rows, wilson
+from scenarios.studies.rows import read_rows, wilson
 
 Array = NDArray[np.float64]
 LEVELS = {"tube-20": 0.20, "tube-10": 0.10, "tube-5": 0.05}
 OTHERS = ("boole-10", "passage-10", "white-10", "worst-case")
 CONTROLLERS = ("nominal", "pem", "hybrid", *LEVELS, "constant", "cascade", *OTHERS)
-EFFECTS = ("motor_lag", "rotor_drag", "center_of_mass_offset")
-HELD = ("center_of_mass_offset.c_z",)
-"""A moment along the speed is flapping or a vertical offset: an offset is found on a balance, so it stays at zero here."""
-SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
-ERRORS = {"inertia": 1.1, "thrust.c2": 0.92, "torque.c2": 1.1}
-CRASH = 100.0
-"""Cost of a flight that ends in a crash, per second."""
 TILT_PER_METRE = 2.0
 """Planes that are moved by a constant take this much off the tilt [rad/m]."""
 WORST = 1.0
@@ -77,8 +71,6 @@ WORST = 1.0
 DT = 0.01
 TURN = 20
 """Controllers take turns: so many flights each."""
-REACH = 0.15
-"""How far before its stretch a plane is respected [m]."""
 PROBLEM = TubeProblem(
     dt=0.02,
     horizon=20,
@@ -92,14 +84,6 @@ PROBLEM = TubeProblem(
 
 
 # ------------------------------------------------------------------------------------------------ models
-
-
-def training_log(seconds: float) -> dict[str, Array]:
-    """Columns of one log: random waypoints at up to 4.5 m/s with excitation, in the gusts of the course."""
-    plant = vehicle()
-    path = RandomWaypoints(box=(2.0, 2.0, 0.4), speed=4.5, shortest=0.9, longest=1.8, yaw_swing=1.0)
-    log = fly(plant, controller_for(plant), path, rich_excitation(0.4), seconds, seed=TRAINING_SEEDS[0], warm_up=1.0)
-    return {n: v for n, v in log.items() if not n.startswith("omega")}
 
 
 def training_flight(seconds: float = 60.0) -> Dataset:
@@ -250,17 +234,6 @@ def flight(
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 
 
-def tracking_cost(path: Array, commands: Array, reference: Any, w: Weights) -> float:
-    """Tracking cost of a flight (n, 13) with the controller's weights, per sample."""
-    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw[: len(path)]
-    terms = (
-        w.position * (path[:, :3] - reference.position[: len(path)]),
-        w.velocity * (path[:, 3:6] - reference.velocity[: len(path)]),
-        w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
-    )  # fmt: skip
-    return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
-
-
 def crossed(record: dict[str, Any]) -> bool:
     """Whether the flight crossed a plane or crashed."""
     return bool(record["crashed"] or min(record["margins"].values()) < 0)
@@ -357,7 +330,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     "controller": name, "kappa": max(getattr(pilot, "kappa", ()), default=0.0), **flight(pilot, seed)
                 }  # fmt: skip
                 records.append(record)
-                append_row(log, record)
+                append_json_line(log, record)
             each = (time.perf_counter() - began) / len(todo)
             print(f"  {name}: {i + len(seeds[i : i + TURN])} of {len(seeds)}, {each:.1f} s each", flush=True)
     print(summary(records))

@@ -27,14 +27,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from greybox.files import append_json_line
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
+from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE
+from mpc_export.mission.flight import Mission, controller, mission, tightened
 from mpc_export.tube.controller import TubeController
-from scenarios.courses import JUDGING_SEEDS, OBSTACLE_COURSE, vehicle
+from scenarios.courses import vehicle
 from scenarios.plants.effects.base import Hub, PlantEffect
 from scenarios.plants.quadrotor import Quadrotor
-from scenarios.studies.mpc_flights import Mission, controller, mission, tightened
-from scenarios.studies.rows import append_row, read_rows
+from scenarios.studies.rows import read_rows
 
 KAPPA = 1.5
 """Standard deviations of the back-offs, as the tube of 20 % a flight has them."""
@@ -281,7 +283,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     if options.model is None:
         # imported here: identification needs what training a Gaussian process needs
-        from scenarios.studies.demo_mpc import identify
+        from scenarios.courses.demo import identify
 
         options.model = identify(options.out / "models").get("hybrid", options.out / "models" / "pem.json")
     model = load_model(options.model)
@@ -294,7 +296,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for seed in JUDGING_SEEDS[: options.flights]:
             if (name, seed) not in done:
                 rows.append(fly(pilot, task, FAULTS[name], seed))
-                append_row(log, rows[-1])
+                append_json_line(log, rows[-1])
         print(table([r for r in rows if r["fault"] == name]).splitlines()[-1], flush=True)
     print(table(rows))
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
+from mpc_export.mission import TRAINING_SEEDS
+from mpc_export.mission.model_plant import RehearsedPlant
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.correlation import correlation, error_transition
 from mpc_export.tube.risk import kappa, kappa_passages, kappa_rehearsed, passages, touching
-from scenarios.courses import TRAINING_SEEDS
 from scenarios.studies.tube_mpc import controller, crossed, flight
-from scenarios.studies.tube_rehearsal import RehearsedPlant
 
 Array = NDArray[np.float64]
 TUNING = 24

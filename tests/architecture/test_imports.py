@@ -119,6 +119,17 @@ def test_greybox_reaches_its_users_only_from_commands_and_inside_functions():
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_command_imports_a_study():
+    wrong = [
+        say(path, found, "what a command needs is product, not a study")
+        for room in ("greybox", "mpc_export", "scenarios/courses", "scenarios/plants", "scenarios/excitation")
+        for path in files(room)
+        for found in imports(path)
+        if within(found.module, "scenarios.studies")
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
 def test_export_does_not_know_scenarios():
     wrong = [
         say(path, found, "mpc_export never imports scenarios")

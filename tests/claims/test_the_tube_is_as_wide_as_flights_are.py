@@ -11,7 +11,8 @@ from greybox.estimation.fit import fit
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
 from greybox.residual.noise_levels import refit_noise
-from scenarios.courses import TRAINING_SEEDS, vehicle
+from mpc_export.mission import TRAINING_SEEDS
+from scenarios.courses import vehicle
 from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies import tube_coverage, tube_mpc
 

@@ -1,6 +1,6 @@
 """A course of two seconds beside one wall, which asks for 2 cm more than the wall allows."""
 
-from scenarios.courses import Course, Leg, Plane
+from mpc_export.mission import Course, Leg, Plane
 
 SHORT = Course(
     start=(0.0, 0.0, 1.0, 0.0), wait=0.2, legs=(Leg(to=(0.3, 0.0, 1.0, 0.0), time=1.2, hold=0.2),),

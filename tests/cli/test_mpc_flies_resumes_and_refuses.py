@@ -10,7 +10,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.residual.files import save_model
-from scenarios.studies import demo_mpc, mpc_campaign
+from mpc_export.mission import campaign, prepare
 from tests.mpc_export import cases
 
 COURSE = ["--course", "tests.cli.short_course:SHORT", "--pace", "1"]
@@ -30,7 +30,7 @@ def flown(models, tmp_path_factory):
     """Folder of a finished run of two flights per controller."""
     out = tmp_path_factory.mktemp("flown")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo_mpc, "TUNING", 2)
+        patch.setattr(prepare, "TUNING", 2)
         assert main(["mpc", str(models / "model.json"), *COURSE, *BOOLE, "--flights", "2", "--out", str(out)]) == 0
     return out
 
@@ -69,7 +69,7 @@ def test_page_is_whole_and_runs_nothing_but_its_own_script(flown):
 
 
 def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):
-    monkeypatch.setattr(demo_mpc, "TUNING", 2)
+    monkeypatch.setattr(prepare, "TUNING", 2)
     before = (flown / "flights.jsonl").read_text()
     command = ["mpc", str(models / "model.json"), *COURSE, *BOOLE, "--out", str(flown)]
     assert main([*command, "--flights", "3", "--json", "-"]) == 0
@@ -80,17 +80,17 @@ def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monk
 
 
 def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(demo_mpc, "TUNING", 2)
-    monkeypatch.setattr(demo_mpc, "REHEARSED", (0.5, 2.0))
-    monkeypatch.setattr(demo_mpc, "REHEARSALS", 4)
-    whole = mpc_campaign.Hangar.fly
+    monkeypatch.setattr(prepare, "TUNING", 2)
+    monkeypatch.setattr(prepare, "REHEARSED", (0.5, 2.0))
+    monkeypatch.setattr(prepare, "REHEARSALS", 4)
+    whole = campaign.Hangar.fly
 
     def stopped(self, entry, seed, **options):
         if entry.name == "constant":
             raise KeyboardInterrupt
         return whole(self, entry, seed, **options)
 
-    monkeypatch.setattr(mpc_campaign.Hangar, "fly", stopped)
+    monkeypatch.setattr(campaign.Hangar, "fly", stopped)
     command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--level", "0.4", "--out", str(tmp_path)]
     assert main([*command, "--plant", "scenarios.plants.presets:nano"]) == 130
     assert "interrupted" in capsys.readouterr().err
@@ -131,7 +131,7 @@ def test_the_demo_refuses_before_it_identifies(tmp_path, capsys):
 
 
 def test_a_model_without_position_cannot_be_flown(models, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(demo_mpc, "NEEDED", ("position", "altitude"))
+    monkeypatch.setattr(prepare, "NEEDED", ("position", "altitude"))
     assert main(["mpc", str(models / "model.json"), *COURSE, "--out", str(tmp_path / "out")]) == 2
     assert "a model with altitude" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

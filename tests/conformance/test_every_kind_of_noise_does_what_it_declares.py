@@ -327,3 +327,24 @@ def test_mistakes_are_named(physics):
         Augmented(core=physics, parts=(Delay(sensor="gyro"), LowPass(sensor="gyro")))
     with pytest.raises(ModelError, match=r"low_pass\.attitude"):
         Augmented(core=physics, parts=(LowPass(sensor="attitude"),))
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
+def test_at_another_rate_it_is_the_same_noise(physics, kind):
+    """Simulated at 100 and at 250 Hz, filters fed with nothing: the same spread after two seconds."""
+    part = EXAMPLES[kind]
+    values = {d.name.removeprefix(f"{part.name}."): d.nominal for d in part.parameters(physics)}
+    full = {f"{part.name}.{n}": v for n, v in values.items()}
+    spread = {}
+    for dt in (0.01, 0.004):
+        size = len(part.copies) * len(part.place(physics).rows)
+        c, w = ca.SX.sym("c", size), ca.SX.sym("w", size)
+        reading = ca.DM.zeros(len(part.place(physics).rows)) if getattr(part, "filters", False) else None
+        step = part.step(c, w, values, reading, dt)
+        a, g = (np.array(ca.DM(ca.jacobian(step, v))) for v in (c, w))
+        level = 0.3 * part.rescaled(full, 0.01, dt)
+        p = np.zeros((size, size))
+        for _ in range(round(2.0 / dt)):
+            p = a @ p @ a.T + level**2 * g @ g.T
+        spread[dt] = np.sqrt(np.diag(p))[0] if not getattr(part, "filters", False) else level
+    assert spread[0.004] == pytest.approx(spread[0.01], rel=1e-9)

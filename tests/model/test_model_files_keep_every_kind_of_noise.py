@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import checksum
 from greybox.model import identified as identified_module
 from greybox.model.identified import IdentifiedModel
@@ -23,6 +23,7 @@ from greybox.model.noise import (
     Drift,
     Line,
     LowPass,
+    part_named,
     with_disturbance,
 )
 from greybox.model.parameter import ParameterValues
@@ -118,6 +119,19 @@ def test_every_kind_comes_back_the_same(physics, tmp_path):
     record = schema["$defs"]["physics"]["properties"]["noise_parts"]["items"]["properties"]
     assert set(record["kind"]["enum"]) == {k.kind for k in KINDS}
     assert {name for p in PARTS for name in p.to_dict()} == set(record)
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda p: p.name)
+def test_a_part_is_known_by_its_name_with_the_start_values_of_its_kind(part):
+    named = part_named(part.name)
+    assert type(named) is type(part)
+    assert named.name == part.name
+
+
+@pytest.mark.parametrize("name", ["low_pas.gyro", "low_pass", "low_pass.", ""])
+def test_a_name_that_is_no_part_is_refused_with_those_that_are(name):
+    with pytest.raises(UnknownNameError, match=r"low_pass\.<sensor or group>"):
+        part_named(name)
 
 
 @pytest.mark.parametrize(

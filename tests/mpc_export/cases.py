@@ -11,7 +11,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
-from greybox.model.noise import with_disturbance
+from greybox.model.noise import Coloured, LowPass, with_disturbance, with_parts
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
 from tests.residual import hybrid_cases
@@ -37,6 +37,13 @@ def physics(delay: float = 0.013) -> IdentifiedModel:
 def disturbed() -> IdentifiedModel:
     """The same with disturbance force and torque."""
     dynamics = with_disturbance(hybrid_cases.craft(), ("force", "torque"), time=2.0)
+    return identified(dynamics, **{"command_delay.d": 0.013, "motor_lag.tau": 0.04})
+
+
+def filtered() -> IdentifiedModel:
+    """The same with a filtered gyro and a coloured accelerometer besides."""
+    parts = (LowPass(sensor="gyro"), Coloured(sensor="accelerometer"))
+    dynamics = with_disturbance(with_parts(hybrid_cases.craft(), parts), ("force", "torque"), time=2.0)
     return identified(dynamics, **{"command_delay.d": 0.013, "motor_lag.tau": 0.04})
 
 

@@ -21,7 +21,13 @@ from mpc_export.functions import model_functions
 from tests.mpc_export import cases
 from tests.residual import hybrid_cases
 
-KINDS = {"physics": cases.physics, "disturbed": cases.disturbed, "hybrid": cases.hybrid, "linear": cases.linear}
+KINDS = {
+    "physics": cases.physics,
+    "disturbed": cases.disturbed,
+    "filtered": cases.filtered,
+    "hybrid": cases.hybrid,
+    "linear": cases.linear,
+}
 ALL = ("covariance", "filter", "target", "hessian")
 
 
@@ -242,12 +248,12 @@ def test_covariance_steps_are_the_formula():
     assert variance.min() > 0
 
 
-@pytest.mark.parametrize("kind", ["disturbed", "hybrid"])
+@pytest.mark.parametrize("kind", ["disturbed", "filtered", "hybrid"])
 def test_targets_hold_the_reference_under_the_disturbance(kind):
     functions = exported(kind)
     x, u = (v.copy() for v in functions.reference)
     x[functions.states["disturbance.torque.y"]] = 2e-5
-    if kind == "disturbed":
+    if kind != "hybrid":
         x[functions.states["disturbance.force.x"]] = 0.03
     r = np.array([0.5, -0.2, 1.0, 2.8])
     for _ in range(12):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from scenarios.courses import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, vehicle
+from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS
+from scenarios.courses import vehicle
 from scenarios.plants.flight_log import fly
 from scenarios.plants.presets import controller_for
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from scenarios.courses import OBSTACLE_COURSE, vehicle
+from mpc_export.mission import OBSTACLE_COURSE
+from scenarios.courses import vehicle
 from scenarios.studies.tube_robustness import ALL, FAULTS, broken_vehicle, table
 
 CLEAN = dict.fromkeys(ALL, 1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenarios.courses import OBSTACLE_COURSE
+from mpc_export.mission import OBSTACLE_COURSE
 from scenarios.studies import tube_coverage, tube_mpc, tube_tuning
 
 

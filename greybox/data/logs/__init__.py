@@ -12,12 +12,13 @@ from collections.abc import Iterable
 from greybox.data.airframe import Airframe
 from greybox.data.conditioning import MAX_GAP, condition
 from greybox.data.dataset import Dataset, Flight
+from greybox.data.impossible import without_impossible
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping, read_columns, read_mapping
 
-__all__ = ["RawLog", "Table", "read_log", "read_logs", "read_table"]
+__all__ = ["RawLog", "Table", "read_log", "read_logs", "read_possible", "read_table"]
 
 Path = str | os.PathLike[str]
 
@@ -31,6 +32,21 @@ def read_table(path: Path, vehicle: Airframe | None = None, *, mapping: Path | L
     return to_channels(read_columns(path, mapping), vehicle, where=os.fspath(path))
 
 
+def read_possible(
+    path: Path,
+    vehicle: Airframe | None = None,
+    *,
+    mapping: Path | LogMapping | None = None,
+    keep_impossible: bool = False,
+) -> RawLog:
+    """`read_table` with samples that this vehicle cannot have made as missing cells, listed in `removed`.
+
+    The door by which every command and `read_logs` get logs; a data-fault check looks at `read_table`.
+    """
+    raw = read_table(path, vehicle, mapping=mapping)
+    return raw if vehicle is None or keep_impossible else without_impossible(raw, vehicle)
+
+
 def read_log(
     path: Path,
     vehicle: Airframe | None = None,
@@ -39,15 +55,17 @@ def read_log(
     trim: bool = True,
     max_gap: float = MAX_GAP,
     mapping: Path | LogMapping | None = None,
+    keep_impossible: bool = False,
 ) -> Flight:
     """Read one log of any format and condition it: uniform clock, gaps as missing cells or breaks, airborne part only.
 
     `rate` [Hz] resamples to that rate (None: the log's own); `trim=False` keeps take-off and landing; `max_gap` [s] is
-    the longest stretch without samples inside a segment. The flight's `notes` say what was done. The flight is named
-    after the file. Without a vehicle only the column `t` is demanded. Raises `DataError`, also where time goes back or
+    the longest stretch without samples inside a segment. Samples that the vehicle cannot have made become missing and are
+    listed in `removed` (`keep_impossible`: they stay). The flight's `notes` say what was done. The flight is named after
+    the file. Without a vehicle only the column `t` is demanded. Raises `DataError`, also where time goes back or
     stands still, and `UnknownNameError` for a column that the vehicle names and the log has not.
     """
-    raw = read_table(path, vehicle, mapping=mapping)
+    raw = read_possible(path, vehicle, mapping=mapping, keep_impossible=keep_impossible)
     return condition(raw, vehicle, rate=rate, trim=trim, max_gap=max_gap, where=os.fspath(path))
 
 
@@ -59,10 +77,22 @@ def read_logs(
     trim: bool = True,
     max_gap: float = MAX_GAP,
     mapping: Path | LogMapping | None = None,
+    keep_impossible: bool = False,
 ) -> Dataset:
     """Read several logs of one vehicle (see `read_log`) into a data set. Raises `DataError` for equal file names."""
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
     return Dataset(
-        flights=tuple(read_log(p, vehicle, rate=rate, trim=trim, max_gap=max_gap, mapping=mapping) for p in paths)
+        flights=tuple(
+            read_log(
+                p,
+                vehicle,
+                rate=rate,
+                trim=trim,
+                max_gap=max_gap,
+                mapping=mapping,
+                keep_impossible=keep_impossible,
+            )
+            for p in paths
+        )
     )

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.data.channel import channel, is_canonical
 from greybox.data.conditioning import condition
 from greybox.data.dataset import Flight
-from greybox.data.logs import read_table
+from greybox.data.logs import read_possible
 from greybox.data.raw import RawLog
 from greybox.data.readers import LogMapping
 from greybox.errors import DataError, UnknownNameError
@@ -105,7 +105,7 @@ def read_records(
     flights, notes = [], []
     dt = None
     for path in paths:
-        raw = _with_columns(read_table(path, vehicle, mapping=mapping), inputs, outputs, os.fspath(path))
+        raw = _with_columns(read_possible(path, vehicle, mapping=mapping), inputs, outputs, os.fspath(path))
         cut = vehicle is not None if trim is None else trim
         flight = condition(raw, vehicle, rate=rate, trim=cut, where=os.fspath(path))
         if dt is None:

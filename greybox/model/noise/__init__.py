@@ -4,6 +4,7 @@ White noise is no parts."""
 from greybox.model.noise.augmented import (
     Augmented,
     disturbances,
+    noise_states,
     sensor_parts,
     with_disturbance,
     with_parts,
@@ -14,13 +15,14 @@ from greybox.model.noise.coloured import Coloured
 from greybox.model.noise.delay import Delay
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
-from greybox.model.noise.kinds import KINDS, noise_part
+from greybox.model.noise.kinds import KINDS, UNMOVED, noise_part, part_named
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
 from greybox.model.noise.part import NoisePart, SensorPart
 
 __all__ = [
     "KINDS",
+    "UNMOVED",
     "Augmented",
     "Coloured",
     "Delay",
@@ -32,6 +34,8 @@ __all__ = [
     "SensorPart",
     "disturbances",
     "noise_part",
+    "noise_states",
+    "part_named",
     "sensor_parts",
     "with_disturbance",
     "with_parts",

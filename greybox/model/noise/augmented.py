@@ -151,6 +151,16 @@ class Augmented(Layer):
             *(d for part in self.parts for d in part.parameters(self.core)),
         )
 
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> FloatArray:
+        """Factors (n_w,) from noise levels per sample of `own` seconds to those per sample of `dt`:
+        white noise of the core keeps its intensity, variance times sample time."""
+        white = np.full(len(self.core.noises), np.sqrt(own / dt))
+        each = [
+            np.full(a.own.stop - a.own.start, a.part.rescaled(values, own, dt))
+            for a in self._placed
+        ]
+        return np.concatenate([white, *each])
+
     # ---------------------------------------------------------------- motion
 
     def _split(self, x: Expr) -> tuple[Expr, Expr]:
@@ -330,6 +340,16 @@ def sensor_parts(dynamics: Dynamics) -> tuple[SensorPart, ...]:
 def disturbances(dynamics: Dynamics) -> tuple[Disturbance, ...]:
     """The disturbances of a model, under whatever layers; none without disturbance states."""
     return tuple(p for p in _parts(dynamics) if isinstance(p, Disturbance))
+
+
+def noise_states(dynamics: Dynamics) -> frozenset[str]:
+    """Names of the states that are noise, of a model under whatever layers."""
+    return frozenset(
+        s.name
+        for layer in layers(dynamics)
+        if isinstance(layer, Augmented)
+        for s in layer.states.signals[len(layer.core.states) :]
+    )
 
 
 def _parts(dynamics: Dynamics) -> list[NoisePart]:

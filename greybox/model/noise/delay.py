@@ -76,6 +76,10 @@ class Delay(SensorPart):
         """As much noise in front of the delay as the sensor has white noise."""
         return 1.0 * level
 
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """1: so much per sample, whatever the rate, as other noise of sensors."""
+        return 1.0
+
     def start(
         self, place: Place, level: FloatArray, seen: Mapping[str, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:

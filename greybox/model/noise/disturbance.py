@@ -83,3 +83,7 @@ class Disturbance(NoisePart):
     def driving(self, level: FloatArray, dt: float) -> FloatArray:
         """A tenth of its channel's level."""
         return DRIVING * level
+
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """Its stationary variance stays."""
+        return gauss_markov.rescaled(float(values[f"{self.name}.T"]), own, dt)

@@ -46,6 +46,10 @@ class Drift(SensorPart):
         """A hundredth of the sensor's white noise per sample."""
         return WALK * level
 
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """Its variance grows with time."""
+        return float(np.sqrt(dt / own))
+
     def start(
         self, place: Place, level: FloatArray, seen: Mapping[str, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:

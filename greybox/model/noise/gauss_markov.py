@@ -25,6 +25,12 @@ def renewed(time: float, dt: float) -> float:
     return float(1 - np.exp(-2 * dt / time))
 
 
+def rescaled(time: float, own: float, dt: float) -> float:
+    """Factor of the level of w from samples of `own` seconds to those of `dt`, with the same
+    stationary variance."""
+    return float(np.sqrt(np.expm1(-2 * dt / time) / np.expm1(-2 * own / time)))
+
+
 def described(level: float, values: Mapping[str, float], dt: float, name: str) -> dict[str, float]:
     """`sigma`, the stationary standard deviation, and `T` [s] of the part `name` whose driving
     noise has this level."""

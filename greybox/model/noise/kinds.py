@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 
 import numpy as np
 
@@ -14,10 +14,29 @@ from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.drift import Drift
 from greybox.model.noise.line import Line
 from greybox.model.noise.low_pass import LowPass
-from greybox.model.noise.part import NoisePart
+from greybox.model.noise.part import NoisePart, SensorPart
 
 KINDS: tuple[type[NoisePart], ...] = (Disturbance, Coloured, Drift, Line, LowPass, Delay)
 """All kinds of noise part."""
+UNMOVED = tuple(k.kind for k in KINDS if not (issubclass(k, SensorPart) and k.filters))
+"""Kinds whose states no motion of the model reaches: all but filters of a reading."""
+_PLACE = {k.kind: next(f.name for f in fields(k) if f.default is MISSING) for k in KINDS}  # type: ignore[arg-type]
+_START = {
+    k.kind: {f.name: f.default for f in fields(k) if f.default is not MISSING}  # type: ignore[arg-type]
+    for k in KINDS
+}
+
+
+def part_named(name: str) -> NoisePart:
+    """The part kind.place ("low_pass.gyro", "disturbance.force") with the start values of its kind.
+
+    Raises `UnknownNameError` for a kind that there is not; a place is looked up by the model.
+    """
+    kinds = {k.kind: k for k in KINDS}
+    kind, _, place = name.partition(".")
+    if kind not in kinds or not place:
+        raise UnknownNameError("noise part", name, [f"{k}.<sensor or group>" for k in kinds])
+    return noise_part({**_START[kind], "kind": kind, _PLACE[kind]: place})
 
 
 def noise_part(record: Mapping[str, object]) -> NoisePart:

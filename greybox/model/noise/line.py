@@ -74,6 +74,10 @@ class Line(SensorPart):
         """As much noise as the white noise of its sensor, at the start value of T."""
         return float(np.sqrt(gauss_markov.renewed(self.time, dt))) * np.concatenate([level, level])
 
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """Its stationary variance stays."""
+        return gauss_markov.rescaled(float(values[f"{self.name}.T"]), own, dt)
+
     def renewed(self, values: Mapping[str, float], dt: float) -> float:
         """1 - exp(-2 dt/T)."""
         return gauss_markov.renewed(float(values[f"{self.name}.T"]), dt)

@@ -32,7 +32,7 @@ class LowPass(SensorPart):
     kind = "low_pass"
     quantities = ("T",)
     filters = True
-    time: float = 0.1
+    time: float = 0.005
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:
         """T [s], one for all components."""
@@ -66,6 +66,10 @@ class LowPass(SensorPart):
     def driving(self, level: FloatArray, dt: float) -> FloatArray:
         """As much noise in front of the filter as the sensor has white noise."""
         return 1.0 * level
+
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """1: so much per sample, whatever the rate, as other noise of sensors."""
+        return 1.0
 
     def start(
         self, place: Place, level: FloatArray, seen: Mapping[str, FloatArray]

@@ -85,6 +85,11 @@ class NoisePart(ABC):
     def driving(self, level: FloatArray, dt: float) -> FloatArray:
         """Start values of the levels of its driving noise; `level` as `typical` gives it for dt."""
 
+    @abstractmethod
+    def rescaled(self, values: Mapping[str, float], own: float, dt: float) -> float:
+        """Factor from the level of its driving noise per sample of `own` seconds to that per sample
+        of `dt`, for the same noise; `values` of parameters by full name."""
+
     def start(
         self, place: Place, level: FloatArray, seen: Mapping[str, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:

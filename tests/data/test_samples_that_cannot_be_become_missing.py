@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings
 
 from greybox.automatic.fit import prepare
-from greybox.automatic.samples import OVERSPEED, without_impossible
+from greybox.data import read_logs
+from greybox.data.impossible import OVERSPEED, without_impossible
+from greybox.estimation.linear.logs import parse_channels, read_records
 from tests.automatic.craft import flown, raw, vehicle, with_channel
 
 TOP = 2500.0
@@ -23,9 +25,9 @@ def log():
 
 
 def test_a_sound_log_is_handed_on_as_it_is(log):
-    same, removed = without_impossible(log, vehicle())
+    same = without_impossible(log, vehicle())
     assert same is log
-    assert removed == ()
+    assert same.removed == ()
 
 
 @pytest.mark.parametrize(("spike", "why"), [(33_000.0, "outside its range"), (4000.0, f"{OVERSPEED * TOP:.4g} rad/s")])
@@ -34,7 +36,8 @@ def test_rotor_speeds_far_beyond_the_top_speed_are_missing_and_counted(log, spik
     at = [100, 101, 300, 420, 700]
     speeds = log.channels["omega2"].copy()
     speeds[at] = spike
-    clean, (removed,) = without_impossible(with_channel(log, omega2=speeds), vehicle())
+    clean = without_impossible(with_channel(log, omega2=speeds), vehicle())
+    (removed,) = clean.removed
     assert np.flatnonzero(np.isnan(clean.channels["omega2"])).tolist() == at
     assert (removed.count, removed.worst, removed.channels) == (5, spike, ("omega2",))
     assert removed.first_time == log.t[100]
@@ -47,7 +50,7 @@ def test_rotor_speeds_far_beyond_the_top_speed_are_missing_and_counted(log, spik
 
 def test_a_rotor_a_little_beyond_its_top_speed_stays(log):
     speeds = np.full(log.n, 1.25 * TOP)
-    assert without_impossible(with_channel(log, omega1=speeds), vehicle())[1] == ()
+    assert without_impossible(with_channel(log, omega1=speeds), vehicle()).removed == ()
 
 
 @pytest.mark.parametrize(
@@ -57,7 +60,8 @@ def test_a_rotor_a_little_beyond_its_top_speed_stays(log):
 def test_a_jump_that_no_motion_explains_takes_its_whole_sample(log, name, jump, group):
     values = log.channels[name].copy()
     values[250] += jump
-    clean, (removed,) = without_impossible(with_channel(log, **{name: values}), vehicle())
+    clean = without_impossible(with_channel(log, **{name: values}), vehicle())
+    (removed,) = clean.removed
     assert removed.channels == group
     assert (removed.count, removed.first_time) == (1, log.t[250])
     for n in group:
@@ -67,7 +71,7 @@ def test_a_jump_that_no_motion_explains_takes_its_whole_sample(log, name, jump, 
 def test_a_step_that_stays_is_no_single_sample(log):
     values = log.channels["x"].copy()
     values[250:] += 0.3
-    assert without_impossible(with_channel(log, x=values), vehicle())[1] == ()
+    assert without_impossible(with_channel(log, x=values), vehicle()).removed == ()
 
 
 def test_an_attitude_written_with_the_other_sign_is_the_same_attitude(log):
@@ -75,9 +79,9 @@ def test_an_attitude_written_with_the_other_sign_is_the_same_attitude(log):
     other = {n: log.channels[n].copy() for n in names}
     for values in other.values():
         values[[100, 250, 251, 400]] *= -1.0
-    assert without_impossible(with_channel(log, **other), vehicle())[1] == ()
+    assert without_impossible(with_channel(log, **other), vehicle()).removed == ()
     other["qy"][400] += 0.4
-    _, (removed,) = without_impossible(with_channel(log, **other), vehicle())
+    (removed,) = without_impossible(with_channel(log, **other), vehicle()).removed
     assert (removed.channels, removed.count, removed.first_time) == (names, 1, log.t[400])
 
 
@@ -90,10 +94,10 @@ def slow_pose(log):
 
 def test_a_slow_pose_among_fast_rows_is_judged_against_its_own_neighbours(log):
     slow = slow_pose(log)
-    assert without_impossible(slow, vehicle())[1] == ()
+    assert without_impossible(slow, vehicle()).removed == ()
     place = slow.channels["x"].copy()
     place[250] += 50.0
-    _, (removed,) = without_impossible(with_channel(slow, x=place), vehicle())
+    (removed,) = without_impossible(with_channel(slow, x=place), vehicle()).removed
     assert (removed.channels, removed.count, removed.first_time) == (("x", "y", "z"), 1, log.t[250])
 
 
@@ -102,7 +106,7 @@ def test_a_row_with_the_stamp_of_the_one_before_hides_no_spike(log):
     t[251] = t[250]
     x[250] += 50.0
     x[251] = np.nan
-    _, (removed,) = without_impossible(replace(with_channel(log, x=x), t=t), vehicle())
+    (removed,) = without_impossible(replace(with_channel(log, x=x), t=t), vehicle()).removed
     assert (removed.count, removed.first_time) == (1, log.t[250])
 
 
@@ -120,7 +124,7 @@ def test_what_the_rotors_can_do_is_taken_at_full_command(log):
     moved[250] = 2.5 * push * 0.5 * 0.01**2
     assert 2.5 * push > 5.0 * own.gravity
     for craft in (own, percent):
-        assert without_impossible(with_channel(still, x=moved), craft)[1] == ()
+        assert without_impossible(with_channel(still, x=moved), craft).removed == ()
 
 
 def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
@@ -131,6 +135,30 @@ def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):
     assert "1 of omega2 missing in run0" in said.choice
     assert said.option == "--keep-impossible"
     assert prepare(vehicle(), [bad], keep_impossible=True).removed == ()
+
+
+def test_whoever_reads_a_log_with_its_vehicle_reads_it_without_them(log, tmp_path):
+    """One door: `read_logs`, the records of linear models, and what the commands read."""
+    speeds = log.channels["omega2"].copy()
+    speeds[[100, 300]] = 33_000.0
+    table = {"t": log.t, **log.channels, "omega2": speeds}
+    path = tmp_path / "spiked.csv"
+    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=",".join(table), comments="")
+    data = read_logs([path], vehicle())
+    (removed,) = data.removed
+    assert (removed.flight, removed.count) == ("spiked", 2)
+    assert np.nanmax(data.flights[0].segments[0].column("omega2")) < TOP
+    assert any(removed.line() in note for note in data.flights[0].notes)
+    assert read_logs([path], vehicle(), keep_impossible=True).removed == ()
+    assert read_logs([path], None).removed == ()
+    linear = read_records(
+        [path], parse_channels("u1", "inputs"), parse_channels("omega2", "outputs"), vehicle()
+    )
+    assert any(removed.line() in note for note in linear.notes)
+    # What was taken is known to a fit that is handed the data set, and is not taken twice.
+    prepared = prepare(vehicle(), data, decide_rate=False)
+    assert prepared.data.hash == data.hash
+    assert prepared.removed == (removed,)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -162,4 +190,4 @@ def test_smooth_motion_that_the_rotors_can_make_is_never_touched(frequency, size
         "x": shaken(way * np.sin(w * t + phase), 1.0), "y": shaken(zero, 1.0), "z": shaken(zero, 1.0),
         "vx": shaken(way * w * np.cos(w * t + phase), 10.0), "vy": shaken(zero, 10.0), "vz": shaken(zero, 10.0),
     }  # fmt: skip
-    assert without_impossible(raw(columns), own)[1] == ()
+    assert without_impossible(raw(columns), own).removed == ()

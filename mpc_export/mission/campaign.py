@@ -19,14 +19,21 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files import OutputError, checksum, file_sha256, read_json, write_atomic, write_json
+from greybox.files import (
+    OutputError,
+    append_json_line,
+    checksum,
+    file_sha256,
+    read_json,
+    read_json_lines,
+    write_atomic,
+    write_json,
+)
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
-from mpc_export.tube.risk import kappa, kappa_rehearsed
-from scenarios.studies.mpc_flights import (
+from mpc_export.mission.flight import (
     Cascade,
     Mission,
-    airframe_of,
     controller,
     fitting,
     flown_with,
@@ -35,9 +42,9 @@ from scenarios.studies.mpc_flights import (
     mission,
     tightened,
 )
-from scenarios.studies.rows import append_row, read_rows
+from mpc_export.tube.risk import kappa, kappa_rehearsed
 
-OBSTACLES = "scenarios.courses:OBSTACLE_COURSE"
+OBSTACLES = "mpc_export.mission:OBSTACLE_COURSE"
 NEAR = 2e-3
 """A limit that a plan comes closer to than this is touched [m]."""
 WATCHED = 3
@@ -123,9 +130,8 @@ class Hangar:
         """The controller of an entry; those of one model are one, tightened anew. Raises what `TubeController` raises."""
         cascade = entry.kind == "cascade"
         if entry.model not in self._pilots:
-            own = getattr(self.plant, "airframe", None)
             self._pilots[entry.model] = (
-                Cascade(own or airframe_of(load_model(self.campaign.model)), self.task)
+                Cascade(load_model(self.campaign.model).physics.vehicle, self.task)
                 if cascade
                 else controller(load_model(entry.model), self.task)
             )
@@ -183,7 +189,7 @@ def flights(
         if trace is not None:
             write_json(trace_path(campaign, by_name[row["controller"]], row["seed"]), trace)
         rows[row["controller"], row["seed"]] = row
-        append_row(path, row)
+        append_json_line(path, row)
         done += 1
         say(f"{done} of {total}: {row['controller']}, flight {row['seed']}: {told(row)}")
     return kept(campaign, entries, seeds, log=log)
@@ -198,10 +204,14 @@ def kept(
     wanted = set(seeds)
     found = {
         (order[r["controller"]], r["seed"]): r
-        for r in read_rows(campaign.out / log)
+        for r in _rows(campaign.out / log)
         if r["controller"] in keys and r.get("key") == keys[r["controller"]] and r["seed"] in wanted
     }
     return [found[k] for k in sorted(found)]
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    return read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
 
 
 def make_folder(path: Path) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from greybox.model.identified import library_versions
-from scenarios.studies.mpc_campaign import Entry
-from scenarios.studies.mpc_flights import Mission
+from mpc_export.mission.campaign import Entry
+from mpc_export.mission.flight import Mission
 
 Row = dict[str, Any]
 

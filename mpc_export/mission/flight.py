@@ -1,7 +1,7 @@
 """Flights of any controller over a course against any plant: what a row says, and what an animation needs.
 
-A plant is what scenarios/plants describes: `reset(seed, position=)`, `step(u, dt)`, `measure(u)` by column of a log,
-`states()` (or `truth()["states"]`). A controller is a `TubeController` or has its `start`, `sample`, `u`, `plan`, `events`.
+A plant has `reset(seed, position=)`, `step(u, dt)`, `measure(u)` by column of a log,
+`states()` or `truth()["states"]`. A controller is a `TubeController` or has its `start`, `sample`, `u`, `plan`, `events`.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ from greybox.errors import GreyboxError
 from greybox.files import to_plain
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
+from greybox.model.vehicle import Vehicle
 from greybox.symbolic import FloatArray
-from mpc_export.tube.controller import TubeController
+from mpc_export.mission.cascade import CascadeController
+from mpc_export.mission.course import Course, SampledPath
+from mpc_export.mission.model_plant import ModelPlant, RehearsedPlant
+from mpc_export.mission.trace import Trace
+from mpc_export.tube.controller import Event, TubeController
 from mpc_export.tube.problem import TubeProblem, Weights
 from mpc_export.tube.risk import touching
-from scenarios.courses import Course
-from scenarios.plants.airframe import Airframe, Rotor
-from scenarios.plants.controller import CascadeController, Setpoint
-from scenarios.studies.mpc_plant import ModelPlant
-from scenarios.studies.mpc_trace import Trace
-from scenarios.studies.tube_mpc import CRASH, REACH, tracking_cost
 
 STEP = 0.02
 """Sample time of plans, or the multiple of the model's own that comes next [s]."""
@@ -40,6 +39,10 @@ ANCILLARY = 64.0
 TRUE = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r")
 CELL = 0.1
 """A row keeps the least distance to a limit in cells of this length [s]."""
+CRASH = 100.0
+"""Cost of a flight that ends in a crash, per second."""
+REACH = 0.15
+"""How far before its stretch a plane is respected [m]."""
 _SLOW = 0.05
 """Low pass of the cascade's own velocity, where none is measured [s]."""
 
@@ -109,15 +112,15 @@ def named(option: str, name: str, example: str) -> Any:
 
 def load_course(name: str) -> Course:
     """The course that `module:attribute` names. Raises `PlantError`."""
-    found = named("--course", name, "scenarios.courses:OBSTACLE_COURSE")
+    found = named("--course", name, "mpc_export.mission:OBSTACLE_COURSE")
     if not isinstance(found, Course):
-        raise PlantError(f"--course {name}", expected="a scenarios.courses.Course", got=type(found).__name__)
+        raise PlantError(f"--course {name}", expected="an mpc_export.mission.Course", got=type(found).__name__)
     return found
 
 
 def load_plant(name: str) -> Any:
     """The plant that `module:attribute` names: a plant, or a class or function that makes one. Raises `PlantError`."""
-    found = named("--plant", name, "scenarios.courses:vehicle")
+    found = named("--plant", name, "my_plant:Vehicle")
     try:
         plant = found() if inspect.isclass(found) or inspect.isfunction(found) else found
     except Exception as error:
@@ -200,43 +203,25 @@ def tightened(pilot: TubeController, task: Mission, *, kappa: float = 0.0, moved
     return pilot
 
 
-def airframe_of(model: IdentifiedModel) -> Airframe:
-    """What the model's vehicle file says, as the cascade controller knows it."""
-    card = model.physics.vehicle
-    j, thrust, torque = card.inertia, card.actuator.thrust, card.actuator.torque
-    return Airframe(
-        name=card.name, mass=card.mass.value, inertia=(j[0][0], j[1][1], j[2][2]),
-        rotors=tuple(Rotor(r.position, r.spin) for r in card.rotors),
-        thrust=(thrust[0].value, thrust[1].value, thrust[2].value),
-        torque=(torque[0].value, torque[1].value, torque[2].value),
-        gravity=card.gravity, u_min=card.actuator.u_min, u_max=card.actuator.u_max,
-    )  # fmt: skip
-
-
 class Cascade:
-    """The cascade controller of scenarios.plants, with the airframe as its only knowledge, behind the tube's interface."""
+    """The cascade of PID loops, with the vehicle file as its only knowledge, behind the tube's interface."""
 
-    def __init__(self, airframe: Airframe, task: Mission) -> None:
-        self.inner = CascadeController(airframe)
+    def __init__(self, vehicle: Vehicle, task: Mission) -> None:
+        self.inner = CascadeController(vehicle)
         self.task, self.plan = task, None
-        self.events: list[Any] = []
+        self.events: list[Event] = []
         self.start()
 
     def start(self) -> None:
         """Forget everything."""
         self.inner.reset()
-        frame = self.inner.airframe
-        self.u = np.full(len(frame.rotors), float(np.mean(frame.hover_speed)))
+        self.u = np.full(self.inner.vehicle.n_rotors, self.inner.hover)
         self._place: FloatArray | None = None
         self._velocity = np.zeros(3)
 
     def sample(self, time_: float, seen: dict[str, float]) -> FloatArray:
         """The command from the next sample on; velocity by filtered differences where none is measured."""
-        path = self.task.course.sample(np.array([time_ + self.task.dt]))
-        goal = Setpoint(
-            position=tuple(path.position[0]), velocity=tuple(path.velocity[0]),
-            acceleration=tuple(path.acceleration[0]), yaw=float(path.yaw[0]), yaw_rate=float(path.yaw_rate[0]),
-        )  # fmt: skip
+        goal = self.task.course.sample(np.array([time_ + self.task.dt]))
         if "vx" not in seen:
             place = np.array([seen[n] for n in "xyz"])
             if self._place is not None:
@@ -244,7 +229,7 @@ class Cascade:
                 self._velocity = (1 - share) * self._velocity + share * (place - self._place) / self.task.dt
             self._place = place
             seen = seen | dict(zip(("vx", "vy", "vz"), map(float, self._velocity), strict=True))
-        self.u = np.array(self.inner(seen, goal, self.task.dt, (0.0, 0.0, 0.0, 0.0)))
+        self.u = self.inner(seen, goal, self.task.dt)
         return self.u
 
 
@@ -321,6 +306,17 @@ def fly(
     return found
 
 
+def tracking_cost(path: FloatArray, commands: FloatArray, reference: SampledPath, w: Weights) -> float:
+    """Tracking cost of a flight (n, 13) with the controller's weights, per sample."""
+    yaw = numeric("euler", path[:, 6:10])[:, 2] - reference.yaw[: len(path)]
+    terms = (
+        w.position * (path[:, :3] - reference.position[: len(path)]),
+        w.velocity * (path[:, 3:6] - reference.velocity[: len(path)]),
+        w.yaw * np.sin(yaw)[:, None], w.rate * path[:, 10:13], w.change * np.diff(commands, axis=0),
+    )  # fmt: skip
+    return float(sum(0.5 * np.sum(v**2) for v in terms) / len(path))
+
+
 def _takes_argument(function: Any) -> bool:
     try:
         return len(inspect.signature(function).parameters) > 0
@@ -348,8 +344,5 @@ def flown_with(plant: str, model: IdentifiedModel, disturbances: list[FloatArray
     """The plant of a name: "model" is the identified model itself, "rehearsal" the same with a learned part that errs,
     everything else `module:attribute`."""
     if plant == "rehearsal":
-        # imported here: that study takes its plant from this room too
-        from scenarios.studies.tube_rehearsal import RehearsedPlant
-
         return RehearsedPlant(model)
     return ModelPlant(model, disturbances) if plant == "model" else load_plant(plant)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenarios.studies.tube_rehearsal import RehearsedPlant
+from mpc_export.mission.model_plant import RehearsedPlant
 from tests.mpc_export import cases
 
 U = np.full(4, 0.7)

@@ -11,6 +11,7 @@ identified size do to a controller; it cannot show what the model's structure mi
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -61,7 +62,7 @@ def real_disturbances(model: IdentifiedModel, data: Dataset) -> list[FloatArray]
 
 
 class ModelPlant:
-    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as the plants of scenarios.plants.
+    """The model of a file, flown: `reset`, `step`, `measure`, `states`, `truth`, as any other plant.
 
     disturbances: segments (n, k) of what `real_disturbances` found; None: the identified process. Raises `ModelError` for a
     model without a steady hover.
@@ -207,3 +208,22 @@ class ModelPlant:
             n: float(self._p[i]) for n, i in zip(self.functions.parameters.names, range(len(self._p)), strict=True)
         }
         return {"parameters": values, "effects": list(self.model.effects), "states": self.states()}
+
+
+class RehearsedPlant(ModelPlant):
+    """`ModelPlant` of a hybrid with an error of the learned part that stays the same over a flight.
+
+    The learned function g(z) is mean(z) + sd(z) e, e ~ N(0, I) drawn once a flight: the consider states of the tube,
+    simulated. Back-offs are rehearsed on it.
+    """
+
+    def reset(self, seed: int = 0, *, position: Sequence[float] = (0.0, 0.0, 1.0)) -> None:
+        """Hover at `position` [m], with parameters, learned error and disturbances of this seed."""
+        super().reset(seed, position=position)
+        self._error = self._rng.standard_normal(len(self._channels))
+
+    def copied(self) -> RehearsedPlant:
+        """A copy that flies on by itself, with the draws that this one would have had; compiled functions are shared."""
+        other = copy.copy(self)
+        other._rng = copy.deepcopy(self._rng)
+        return other

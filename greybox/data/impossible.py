@@ -9,15 +9,15 @@ rotors' torque can turn).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.airframe import Airframe, ThrustMap, TopSpeed, Weighed
 from greybox.data.channel import channel
-from greybox.data.raw import RawLog
+from greybox.data.raw import RawLog, Removed
 from greybox.data.resampling import continuous_signs
-from greybox.model.vehicle import Vehicle
 from greybox.symbolic import BoolArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
@@ -34,31 +34,14 @@ MARGIN = 5.0
 """Times the change that motion explains from which a single sample stands apart."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Removed:
-    """Samples of one channel group in one flight that were taken as missing."""
+def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
+    """`raw` with samples that cannot be as missing cells; its `removed` says which, and why.
 
-    flight: str
-    channels: tuple[str, ...]
-    count: int
-    worst: float
-    first_time: float
-    reason: str
-
-    def line(self) -> str:
-        """For a terminal."""
-        names = ", ".join(self.channels)
-        return (
-            f"{self.flight}: {self.count} sample(s) of {names} taken as missing ({self.reason}; "
-            f"the worst {self.worst:.4g}, the first at t = {self.first_time:.2f} s)"
-        )
-
-
-def without_impossible(raw: RawLog, vehicle: Vehicle) -> tuple[RawLog, tuple[Removed, ...]]:
-    """`raw` with samples that cannot be as missing cells, and what was removed."""
+    What the vehicle does not state (top speed, thrust, mass and inertia) rules nothing out.
+    """
     removed: list[Removed] = []
     new: dict[str, FloatArray] = {}
-    top = vehicle.actuator.speed_max
+    top = vehicle.actuator.speed_max if isinstance(vehicle.actuator, TopSpeed) else None
 
     def drop(names: tuple[str, ...], bad: BoolArray, values: FloatArray, reason: str) -> None:
         if not bad.any():
@@ -101,9 +84,10 @@ def without_impossible(raw: RawLog, vehicle: Vehicle) -> tuple[RawLog, tuple[Rem
         bad[rows], size[rows] = _alone(raw.t[rows], known, limit_of)
         drop(names, bad, size, "one sample that no motion of the craft explains")
     if not removed:
-        return raw, ()
+        return raw
     notes = (*raw.notes, *(r.line() for r in removed))
-    return replace(raw, channels={**raw.channels, **new}, notes=notes), tuple(removed)
+    every = (*raw.removed, *removed)
+    return replace(raw, channels={**raw.channels, **new}, notes=notes, removed=every)
 
 
 def _measured(t: FloatArray, block: FloatArray) -> IntArray:
@@ -114,11 +98,13 @@ def _measured(t: FloatArray, block: FloatArray) -> IntArray:
     return later
 
 
-def _explained(raw: RawLog, vehicle: Vehicle) -> Mapping[tuple[str, ...], Explained]:
+def _explained(raw: RawLog, vehicle: Airframe) -> Mapping[tuple[str, ...], Explained]:
     """Channel group -> how far the craft can take a sample from the line between its neighbours."""
     out: dict[tuple[str, ...], Explained] = {}
     have = set(raw.channels)
     actuator = vehicle.actuator
+    if not isinstance(actuator, ThrustMap) or not isinstance(vehicle, Weighed):
+        return out
     c0, c1, c2 = (c.value for c in actuator.thrust)
     thrust = (c0 + actuator.u_max * (c1 + actuator.u_max * c2)) * len(vehicle.rotors)
     push = 2.0 * thrust / vehicle.mass.value + vehicle.gravity

@@ -8,8 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
-from scenarios.excitation.signal import Array
-from scenarios.excitation.trajectory import Trajectory
+from greybox.symbolic import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledPath:
+    """Sampled reference: position, velocity, acceleration, each (n, 3), world [m, m/s, m/s^2]; yaw, yaw_rate (n,)."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    yaw: FloatArray
+    yaw_rate: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +35,11 @@ class Plane:
     offset: float
     where: Mapping[int, tuple[float, float]]
 
-    def margin(self, position: Array) -> Array:
+    def margin(self, position: FloatArray) -> FloatArray:
         """Distance to the plane [m] of positions (..., 3): negative beyond it, infinite where it does not exist."""
         return np.where(self.exists(position), self.offset - position @ np.array(self.normal), np.inf)
 
-    def exists(self, position: Array, reach: float = 0.0) -> Array:
+    def exists(self, position: FloatArray, reach: float = 0.0) -> BoolArray:
         """Whether the plane exists at positions (..., 3), its stretch lengthened by `reach` [m] at both ends."""
         inside = np.ones(position.shape[:-1], dtype=bool)
         for axis, (low, high) in self.where.items():
@@ -68,7 +78,7 @@ class Course:
         """Length of the flight [s]."""
         return self.wait + sum(leg.time + leg.hold for leg in self.legs)
 
-    def sample(self, time: Array, rng: np.random.Generator | None = None) -> Trajectory:
+    def sample(self, time: FloatArray, rng: np.random.Generator | None = None) -> SampledPath:
         """The reference at any times (N,) [s], at rest before the start and after the end; derivatives are exact.
 
         rng is not used: every flight has the same reference.
@@ -84,7 +94,7 @@ class Course:
             speed += np.outer(30.0 * s**2 * (1.0 - s) ** 2 / leg.time, step)
             push += np.outer(60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / leg.time**2, step)
             here, begin = there, begin + leg.time + leg.hold
-        return Trajectory(
+        return SampledPath(
             position=path[:, :3],
             velocity=speed[:, :3],
             acceleration=push[:, :3],
@@ -92,6 +102,6 @@ class Course:
             yaw_rate=speed[:, 3],
         )
 
-    def margins(self, position: Array) -> dict[str, Array]:
+    def margins(self, position: FloatArray) -> dict[str, FloatArray]:
         """Distance to every plane [m] by its name, for positions (..., 3)."""
         return {plane.name: plane.margin(position) for plane in self.planes}

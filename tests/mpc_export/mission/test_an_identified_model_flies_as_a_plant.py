@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.errors import ModelError
-from scenarios.studies.mpc_plant import BLOCK, ModelPlant, real_disturbances
+from mpc_export.mission.model_plant import BLOCK, ModelPlant, real_disturbances
 from tests.mpc_export import cases
 
 

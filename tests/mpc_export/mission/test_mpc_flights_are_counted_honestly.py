@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from greybox.report.mpc_report import format_table, mpc_report
+from mpc_export.mission import OBSTACLE_COURSE
+from mpc_export.mission.campaign import Entry, read_segments, tuned, write_segments
+from mpc_export.mission.flight import Mission, PlantError, load_plant, paced, top_speed
+from mpc_export.mission.summary import exact, summary
 from mpc_export.tube.problem import TubeProblem
-from scenarios.courses import OBSTACLE_COURSE
-from scenarios.studies.mpc_campaign import Entry, read_segments, tuned, write_segments
-from scenarios.studies.mpc_flights import Mission, PlantError, load_plant, paced, top_speed
-from scenarios.studies.mpc_summary import exact, summary
 
 TASK = Mission(course=OBSTACLE_COURSE, problem=TubeProblem(), dt=0.01, pace=1.0)
 ENTRIES = tuple(Entry(name=n, text=f"<{n}> & co", model="m.json") for n in ("hybrid", "tube", "constant"))
@@ -153,6 +153,6 @@ def test_a_slower_course_is_the_same_path_at_a_lower_speed():
 
 def test_plants_are_named_by_module_and_attribute():
     assert load_plant("scenarios.courses:vehicle").rotors == 4
-    for wrong in ("scenarios.courses", "nowhere:plant", "scenarios.courses:OBSTACLE_COURSE"):
+    for wrong in ("scenarios.courses", "nowhere:plant", "mpc_export.mission:OBSTACLE_COURSE"):
         with pytest.raises(PlantError):
             load_plant(wrong)

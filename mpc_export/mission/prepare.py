@@ -1,64 +1,43 @@
-"""`greybox mpc`: identify a plant from one flight, or take a model file, and fly it through the obstacle course.
+"""Prepare a mission: models, plant, controllers and the back-offs that training flights and rehearsals ask for.
 
-The demo's controllers, all with the same solver and the same seeds, differ in what they know:
+Controllers have the same solver and the same seeds and differ in what they know:
 
-    nominal    what the data sheet says, noise levels from the training flight
-    pem        physics with motor lag, rotor drag and centre of mass, fitted
-    hybrid     pem and a Gaussian process, mean only
-    tube       hybrid, limits tightened by the covariance of the closed loop
-    constant   hybrid, every plane moved by one constant that training flights ask for
-    cascade    a cascade of PID loops that knows the airframe
-
-    make demo-mpc      (or: python -m scenarios.studies.demo_mpc --out demo_mpc_out)
+    mean       the model, no tightening (the demo: nominal, pem and hybrid, see scenarios/courses/demo.py)
+    tube       the model, limits tightened by the covariance of the closed loop
+    constant   the model, every plane moved by one constant that training flights ask for
+    cascade    a cascade of PID loops that knows the vehicle file
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greybox.data import dataset_from_arrays
-from greybox.errors import MissingExtraError, ModelError
-from greybox.estimation.fit import fit
-from greybox.files import file_sha256, read_json, write_json
+from greybox.errors import ModelError
+from greybox.files import file_sha256, read_json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
-from greybox.model.model import build_model
-from greybox.model.vehicle import read_vehicle
-from greybox.residual.files import load_model, save_model
+from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.learn import learn
-from greybox.residual.noise_levels import refit_noise
-from mpc_export.tube.stages import NEEDED
-from scenarios.courses import JUDGING_SEEDS, TRAINING_SEEDS, vehicle
-from scenarios.plants.flight_log import write_log
-from scenarios.plants.vehicle_file import write_vehicle
-from scenarios.studies.mpc_campaign import (
+from mpc_export.mission import JUDGING_SEEDS, TRAINING_SEEDS
+from mpc_export.mission.campaign import (
     NEAR,
     OBSTACLES,
     Campaign,
     Entry,
     Hangar,
     flights,
-    make_folder,
     rehearsed,
     tuned,
     write_segments,
 )
-from scenarios.studies.mpc_flights import load_course, load_plant, natural_pace
-from scenarios.studies.mpc_plant import real_disturbances
-from scenarios.studies.tube_mpc import EFFECTS, ERRORS, HELD, SIGMA, training_log
+from mpc_export.mission.flight import load_course, load_plant, natural_pace
+from mpc_export.mission.model_plant import real_disturbances
+from mpc_export.tube.stages import NEEDED
 
 Say = Callable[[str], None]
-DEMO_PLANT = "scenarios.courses:vehicle"
-SECONDS, POINTS = 40.0, 40
-"""Length of the demo's training flight [s], support points of its Gaussian process: enough, and done in a minute."""
-FEATURES = (
-    "body_velocity.x", "body_velocity.y", "body_velocity.z", "p", "q", "r", "nu1", "nu2", "nu3", "nu4",
-)  # fmt: skip
 TEXTS = {
     "nominal": "the data sheet's model", "pem": "fitted physics, no tightening",
     "hybrid": "physics and Gaussian process, no tightening",
@@ -69,49 +48,12 @@ TUNING = 8
 """Training flights on which touched limits are counted and the constant back-off is chosen."""
 
 
-def identify(out: Path, say: Say = print) -> dict[str, Path]:
-    """Files of the demo's models, nominal, pem and hybrid, from one flight; those of an earlier run are taken as they are.
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Its plant as `module:attribute`, and what writes its models into a folder: name (nominal, pem, hybrid) -> file."""
 
-    Without PyTorch, which trains the Gaussian process, there is no hybrid. Also writes the vehicle file and the
-    flight, so that `greybox fit` and `learn` can be run on them by hand.
-    """
-    files = {n: out / f"{n}.json" for n in ("nominal", "pem", "hybrid")}
-    settings = {
-        "schema": "greybox.study/1",
-        "noise": "each",
-        "seconds": SECONDS,
-        "points": POINTS,
-        "features": list(FEATURES),
-    }
-    done = out / "identified.json"
-    if done.exists() and read_json(done) == settings and all(p.exists() for p in files.values()):
-        return files
-    plant = vehicle()
-    say(f"flying the plant for {SECONDS:g} s, random waypoints with excitation in gusts")
-    columns = training_log(SECONDS)
-    make_folder(out)
-    write_log(out / "training.csv", columns)
-    data = dataset_from_arrays(columns.pop("t"), columns, name="training")
-    card = read_vehicle(write_vehicle(out / "vehicle.toml", plant, sigma=SIGMA, errors=ERRORS))
-    noise = ("force", "torque")
-    say("noise levels of the data sheet's model")
-    nominal = fit(build_model(card, data.channels, ()), data, initialisation="nominal", disturbance=noise, free=())
-    save_model(nominal.model, files["nominal"])
-    say("fitting the physics")
-    fitted = fit(
-        build_model(card, data.channels, EFFECTS), data, initialisation="nominal", disturbance=noise, fixed=HELD
-    )
-    save_model(fitted.model, files["pem"])
-    say("learning what is left")
-    try:
-        learned = learn(fitted.model, data, features=FEATURES, points=POINTS, seed=0).model
-        # the tube's noise is the filter's own: what is calibrated for horizons is so on the flight that was learned from
-        save_model(replace(refit_noise(learned, data, each=True), horizon_noise=None), files["hybrid"])
-    except MissingExtraError as error:
-        say(f"the tube flies on the fitted physics: {error}")
-        return {n: files[n] for n in ("nominal", "pem")}
-    write_json(done, settings)
-    return files
+    identify: Callable[[Path, Say], Mapping[str, Path]]
+    plant: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,11 +69,11 @@ class Flown:
 
 
 def prepare(
-    subject: str, out: Path, *, plant: str | None = None, logs: Sequence[str] = (), course: str = OBSTACLES,
-    pace: float | None = None, risk: str = "rehearsal",
+    subject: str, out: Path, *, demo: Demo | None = None, plant: str | None = None, logs: Sequence[str] = (),
+    course: str = OBSTACLES, pace: float | None = None, risk: str = "rehearsal",
     flights_: int = 20, level: float = 0.1, seed: int = 0, jobs: int = 1, say: Say = print,
 ) -> Flown:  # fmt: skip
-    """Models, plant, controllers and tuned back-offs of `subject`: "demo" or a model file.
+    """Models, plant, controllers and tuned back-offs of `subject`: a model file, or what a `demo` is called.
 
     plant: `module:attribute`; None flies the demo's plant, or the model itself under disturbances that are resampled from
     `logs` or else as identified. pace: how much slower the course is flown; None: 1 for the demo, and for a model what its
@@ -139,8 +81,7 @@ def prepare(
     mpc_export/tube/risk.py).
     Raises `ModelError`, `PlantError`, `BuildError`, `FileFormatError`.
     """
-    demo = subject == "demo"
-    if demo and logs:
+    if demo is not None and logs:
         raise ModelError("--log belongs to a model file", got="demo", fix="leave --log out, or name a model.json")
     if plant is not None and logs:
         raise ModelError(
@@ -149,8 +90,9 @@ def prepare(
     load_course(course)
     if plant is not None:
         load_plant(plant)
-    if demo:
-        files = identify(out / "models", say)
+    files: Mapping[str, Path]
+    if demo is not None:
+        files = demo.identify(out / "models", say)
         main = files.get("hybrid", files["pem"])
     else:
         main = Path(subject)
@@ -161,13 +103,13 @@ def prepare(
         kept = str(out / "disturbances.npy")
         write_segments(Path(kept), _disturbances(model, logs))
     if pace is None:
-        pace = 1.0 if demo else natural_pace(model, load_course(course))
-    used = plant or (DEMO_PLANT if demo else "model")
+        pace = 1.0 if demo is not None else natural_pace(model, load_course(course))
+    used = plant or ("model" if demo is None else demo.plant)
     campaign = Campaign(out=out, plant=used, model=str(main), pace=pace, course=course, disturbances=kept)
     hangar = Hangar(campaign)
     plain = Entry(
-        name=main.stem if demo else "mean",
-        text=TEXTS[main.stem] if demo else "the model, no tightening",
+        name=main.stem if demo is not None else "mean",
+        text=TEXTS[main.stem] if demo is not None else "the model, no tightening",
         model=str(main),
     )
     say(f"counting touched limits on {TUNING} training flights")
@@ -199,9 +141,10 @@ def prepare(
               moved=tuning["moved"]),
         Entry(name="cascade", text="cascade of PID loops", kind="cascade"),
     ]  # fmt: skip
-    before = [Entry(name=n, text=TEXTS[n], model=str(f)) for n, f in files.items() if demo and f != main]
+    before = [Entry(name=n, text=TEXTS[n], model=str(f)) for n, f in files.items() if demo is not None and f != main]
     what = {
-        "mode": "demo" if demo else "plant" if plant else "model", "subject": subject, "plant": used, "plain": plain.name,
+        "mode": "demo" if demo is not None else "plant" if plant else "model", "subject": subject,
+        "plant": used, "plain": plain.name,
         "model": model.name, "model_sha256": file_sha256(main), "learned": list(_learned(model)),
         "trained_on": list(model.trained_on), "logs": [Path(p).name for p in logs],
         "mass": float(model.values["mass"]) if "mass" in model.values else None, "disturbed_by": _disturbed(used, logs),
@@ -243,19 +186,3 @@ def _disturbed(plant: str, logs: Sequence[str]) -> str:
     if logs:
         return "force and torque that the smoother found in real flights, resampled in blocks, and the identified noise"
     return "the identified process and sensor noise"
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """The short demo, through the command line that a user would type."""
-    from greybox.cli import main as greybox
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", default="demo_mpc_out")
-    parser.add_argument("--flights", default="6")
-    parser.add_argument("--jobs", default="2")
-    arguments = parser.parse_args(argv)
-    return greybox(["mpc", "demo", "--flights", arguments.flights, "--jobs", arguments.jobs, "--out", arguments.out])
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,0 +1,51 @@
+"""Flight logs as a command reads them: all by one door, with what was taken as missing listed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.data import Dataset
+    from greybox.data.airframe import Airframe
+
+
+def flight_log_options(p: Any) -> None:
+    """Declare how logs are read."""
+    p.add_argument(
+        "--mapping",
+        metavar="MAP.toml",
+        help="which fields of the logs are which channels (docs/logs.md)",
+    )
+    p.add_argument(
+        "--keep-impossible",
+        action="store_true",
+        help="keep samples that no craft can have made",
+    )
+
+
+def read_flight_logs(
+    arguments: argparse.Namespace,
+    paths: Sequence[str],
+    vehicle: Airframe,
+    *,
+    rate: float | None,
+    trim: bool = True,
+) -> Dataset:
+    """The logs of a command on a uniform clock of `rate` [Hz] (None: their own), and a line on
+    standard error per kind of sample that became missing. Raises what `read_logs` raises."""
+    from greybox.data.logs import read_logs
+
+    data = read_logs(
+        paths,
+        vehicle,
+        rate=rate,
+        trim=trim,
+        mapping=arguments.mapping,
+        keep_impossible=arguments.keep_impossible,
+    )
+    for removed in data.removed:
+        print(removed.line(), file=sys.stderr, flush=True)
+    return data
