@@ -78,15 +78,12 @@ def run(arguments: argparse.Namespace) -> int:
     if is_linear(arguments.model):
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
-<<<<<<< HEAD
         if arguments.learner != "gp":
             raise GreyboxError(
                 "--learner is for models of motion", got=f"the linear model {arguments.model}", fix="leave it out: gp"
-=======
         if arguments.keep_impossible:
             raise GreyboxError(
                 "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
->>>>>>> own29
             )
         return run_output(arguments)
     model = loaded(arguments)
