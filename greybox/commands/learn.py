@@ -81,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.learner != "gp":
             raise GreyboxError(
                 "--learner is for models of motion", got=f"the linear model {arguments.model}", fix="leave it out: gp"
+            )
         if arguments.keep_impossible:
             raise GreyboxError(
                 "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"
