@@ -82,6 +82,7 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
     """The fit behind a model file: again from its values, with the choices that its fit.json names."""
     from greybox.errors import DataError, FitError
     from greybox.estimation.fit import fit, noise_of
+    from greybox.estimation.options import FitOptions
     from greybox.files import read_json
 
     model = loaded(arguments)
@@ -95,10 +96,9 @@ def _fitted(arguments: argparse.Namespace) -> Fit:
             f"flight {', '.join(strangers)}: not the flights of the fit", expected=", ".join(model.trained_on),
             fix="give the flights that it was fitted to",
         )  # fmt: skip
-    found = fit(
-        model.dynamics, train, values=dict(model.values), noise=noise_of(model), initialisation="nominal",
-        **{k: settings[k] for k in KEPT if k in settings},
-    )  # fmt: skip
+    choices: Any = {k: settings[k] for k in KEPT if k in settings}
+    choices |= {"values": dict(model.values), "noise": noise_of(model), "initialisation": "nominal"}
+    found = fit(model.dynamics, train, FitOptions.of(None, choices))
     if not found.converged:
         raise FitError("the fit does not converge from its own values", fix="greybox fit first; a profile needs its optimum")
     return found

@@ -27,7 +27,7 @@ from greybox.symbolic import Expr, Layout, Signal
 
 LAYOUTS = ("states", "inputs", "outputs")
 PARTS = ("dynamics", "measurement")
-OPTIONAL = ("noise_states", "initial", "initial_sigma", "sensor_sigma")
+OPTIONAL = ("initial", "initial_sigma", "sensor_sigma")
 
 
 def load_own_model(program: str) -> StateSpaceModel:
@@ -121,7 +121,7 @@ def own_to_dict(model: StateSpaceModel) -> dict[str, Any]:
         "noise_states": list(model.noises.names),
         "discrete": model.discrete,
         "substeps": model.substeps,
-        **{k: dict(v) if (v := getattr(model, k)) is not None else None for k in OPTIONAL[1:]},
+        **{k: dict(v) if (v := getattr(model, k)) is not None else None for k in OPTIONAL},
     }
 
 
@@ -155,14 +155,18 @@ def own_from_dict(data: Mapping[str, Any], *, where: str = "model") -> StateSpac
         order = [d.name for d in parameters]
         return StateSpaceModel(
             name=str(data["name"]),
-            **layouts,
+            states=layouts["states"],
+            inputs=layouts["inputs"],
+            outputs=layouts["outputs"],
             parameters=parameters,
             dynamics=_called(functions["dynamics"], order),
             measurement=_called(functions["measurement"], order),
             noise_states=tuple(data["noise_states"]),
             discrete=bool(data["discrete"]),
             substeps=int(data["substeps"]),
-            **{k: None if data[k] is None else dict(data[k]) for k in OPTIONAL[1:]},
+            initial=_numbers(data["initial"]),
+            initial_sigma=_numbers(data["initial_sigma"]),
+            sensor_sigma=_numbers(data["sensor_sigma"]),
         )
     except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
         if isinstance(error, GreyboxError) and not isinstance(error, ModelError):
@@ -170,6 +174,10 @@ def own_from_dict(data: Mapping[str, Any], *, where: str = "model") -> StateSpac
         raise FileFormatError(
             f"incomplete or wrong ({error})", where=where, fix="write the file again"
         ) from None
+
+
+def _numbers(values: Mapping[str, Any] | None) -> dict[str, float] | None:
+    return None if values is None else {str(k): float(v) for k, v in values.items()}
 
 
 def _called(function: Any, names: list[str]) -> Callable[..., Expr]:

@@ -227,7 +227,7 @@ def _shapes(inputs: Sequence[str], n: int, seed: int) -> Iterator[tuple[str, Flo
                 signals[f"steps between {kind}, {hold} samples each, on {name}"] = np.repeat(levels, hold, axis=0)[:n]
         phases = rng.uniform(0, 2 * np.pi, (8, len(at)))
         cycles = np.unique(np.round(np.geomspace(1, max(2, n / 10), 8)))
-        waves = sum(np.sin(2 * np.pi * c * t[:, None] + phases[i]) for i, c in enumerate(cycles))
+        waves = np.sum([np.sin(2 * np.pi * c * t[:, None] + phases[i]) for i, c in enumerate(cycles)], axis=0)
         signals[f"multi-sine on {name}"] = waves / np.abs(waves).max()
         chirp = scipy.signal.chirp(t, 1.0, 1.0, n / 10, method="logarithmic")
         signals[f"chirp on {name}"] = chirp[:, None] * np.ones((1, len(at)))
