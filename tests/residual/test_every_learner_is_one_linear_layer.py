@@ -45,8 +45,11 @@ def rows(n: int = 400) -> Discrepancy:
     y = np.stack([-0.4 * z[:, 0] * np.abs(z[:, 0]), 3.0 * z[:, 1]], axis=1) + 0.05 * rng.standard_normal((n, 2))
     return Discrepancy(
         inputs=Layout([Signal(name="speed", unit="m/s"), Signal(name="rate", unit="rad/s")]),
-        outputs=Layout([Signal(name="force.x", unit="N"), Signal(name="torque.x", unit="N m")]), z=z, y=y, flights=("a",) * n,
-    )  # fmt: skip
+        outputs=Layout([Signal(name="force.x", unit="N"), Signal(name="torque.x", unit="N m")]),
+        z=z,
+        y=y,
+        flights=("a",) * n,
+    )
 
 
 def regressed(candidate: FeaturePosterior, seen: Discrepancy) -> FeaturePosterior:

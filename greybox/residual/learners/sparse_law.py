@@ -8,7 +8,8 @@ PNAS 113(15)). The terms that stay are the features; several thresholds compete 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,6 +20,8 @@ from greybox.symbolic import Expr, FloatArray
 THRESHOLDS = (0.05, 0.15, 0.4)
 """Least coefficients, in spreads of the output per spread of the term."""
 ROUNDS = 10
+Term = Callable[[Sequence[Any]], Any]
+"""A term of a list of inputs, arrays or expressions alike."""
 
 
 class SparseLaw:
@@ -43,9 +46,9 @@ class SparseLaw:
         return out
 
 
-def _library(n: int) -> list[object]:
-    """Terms as functions of a list of inputs, arrays or expressions alike."""
-    out: list[object] = [lambda x: 0 * x[0] + 1.0]
+def _library(n: int) -> list[Term]:
+    """All terms of n inputs."""
+    out: list[Term] = [lambda x: 0 * x[0] + 1.0]
     out += [lambda x, i=i: x[i] for i in range(n)]
     out += [lambda x, i=i, j=j: x[i] * x[j] for i, j in itertools.combinations_with_replacement(range(n), 2)]
     out += [lambda x, i=i: x[i] * (x[i] * x[i] + 1e-6) ** 0.5 for i in range(n)]
@@ -69,9 +72,9 @@ def _kept(columns: FloatArray, y: FloatArray, threshold: float, most: int) -> tu
     return tuple(sorted(union))
 
 
-def _law(terms: list[object], spread: FloatArray) -> Features:
+def _law(terms: list[Term], spread: FloatArray) -> Features:
     def phi(s: Expr) -> Expr:
         parts = ca.vertsplit(s)
-        return ca.vertcat(*(t(parts) / float(d) for t, d in zip(terms, spread, strict=True)))  # type: ignore[operator]
+        return ca.vertcat(*(t(parts) / float(d) for t, d in zip(terms, spread, strict=True)))
 
     return phi
