@@ -26,8 +26,8 @@ from typing import Any
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
-from greybox.discovery.candidates import candidates  # noqa: E402 (after the thread counts)
-from greybox.discovery.nested import Nest, Task, solve  # noqa: E402
+from greybox.discovery.cause import offer  # noqa: E402 (after the thread counts)
+from greybox.discovery.evidence import Flights, Task, solved  # noqa: E402
 
 RIVALS = (
     ("motor_lag",), ("command_delay",), ("motor_lag", "command_delay"), ("sensor_delay",), ("pose_delay",), ("rotor_drag",),
@@ -35,16 +35,23 @@ RIVALS = (
 )  # fmt: skip
 
 
-def step(seconds: float) -> tuple[Nest, list[Task]]:
+def step(seconds: float) -> tuple[Flights, list[Task]]:
     """The rivals of one step."""
     from scenarios.plants.effects import MotorLag
     from scenarios.plants.presets import x250
     from scenarios.studies.discovery_cells import flights, vehicle_of
 
     data = flights(x250([MotorLag(tau=0.04)]), (1, 2), seconds, "train")
-    nest = Nest(candidates=candidates(vehicle_of(x250()), data.channels, sample_time=0.01), data=data)
-    null = nest.refit(())
-    return nest, [nest.task(r, start=null) for r in RIVALS]
+    there = Flights(causes=offer(vehicle_of(x250()), data.channels, sample_time=0.01), data=data)
+    start = there.fit(()).known
+    return there, [
+        Task(structure=frozenset(r), starts=(start,), tolerance=1e-3, iterations=60) for r in RIVALS
+    ]
+
+
+def solve(task: Task, content: Any) -> Any:
+    """One fit."""
+    return solved(*content, task)
 
 
 def nothing(_task: Any, _data: Any) -> int:
@@ -80,9 +87,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from distributed import Client, LocalCluster
 
     warnings.simplefilter("ignore")
-    nest, tasks = step(options.seconds)
-    alone = median(lambda: [solve(t, nest.data) for t in tasks], options.repeats)
-    print(f"{len(tasks)} fits, {pickle.dumps((tasks[0], nest.data)).__sizeof__() / 1e6:.1f} MB each to send")
+    there, tasks = step(options.seconds)
+    content = there.causes, there.data, there.options
+    alone = median(lambda: [solve(t, content) for t in tasks], options.repeats)
+    print(f"{len(tasks)} fits, {pickle.dumps((tasks[0], content)).__sizeof__() / 1e6:.1f} MB each to send")
     print(f"one process, likelihood on all cores: {alone:.2f} s")
     per_fit = send = first = 0.0
     for workers in (int(w) for w in options.workers.split(",")):
@@ -96,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             client.run(bind, {name: usable[i % len(usable)] for i, name in enumerate(names)})
 
             def spread(work: Callable[..., Any], pool: Any = pool) -> list[Any]:
-                return [f.result() for f in [pool.submit(work, t, nest.data) for t in tasks]]
+                return [f.result() for f in [pool.submit(work, t, content) for t in tasks]]
 
             took = median(lambda: spread(solve), options.repeats)
             empty = median(lambda: spread(nothing), options.repeats)

@@ -24,17 +24,22 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "discover",
         help="find, name and add the effects that a vehicle file misses",
-        description="Find where simulation and flights disagree, name the missing effects, add them and show how far the "
-        "gap closed. Writes discovery.json, model.json (the improved model), report.html and, where what is left follows a "
-        "law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
+        description="Find where simulation and flights disagree, name what is missing with an e-value from flights that did "
+        "not propose it, add it and show how far the gap closed. Writes discovery.json, model.json (the improved model), "
+        "report.html and, where what is left follows a law, proposal_<n>.py and model_with_laws.json. Exit code 0: done, "
         "whatever the verdict, 2: bad input, 130: interrupted (the files hold what was found until then).",
     )
-    p.add_argument("--vehicle", required=True, metavar="V.toml", help="vehicle file")
-    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to search in")
-    p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights on which only the gap is judged")
+    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file (not needed with --from)")
+    p.add_argument("--from", dest="since", metavar="MODEL.json",
+                   help="what has changed since this model: its numbers and their errors are the prior")  # fmt: skip
+    p.add_argument("--continue", dest="folder", metavar="FOLDER",
+                   help="the flights are further ones: their evidence multiplies that of the names in FOLDER")  # fmt: skip
+    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="flights to search in")
+    p.add_argument("--test", nargs="+", default=[], metavar="LOG",
+                   help="flights that propose nothing and judge (without: halves of the training flights)")  # fmt: skip
     flight_log_options(p)
     p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
-    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="stop after N additions (default 8)")
+    p.add_argument("--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)")
     p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
                    help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
@@ -43,12 +48,14 @@ def add(subparsers: Any) -> None:
     p.add_argument("--fixed", type=names, default=(), metavar="a,b", help="parameters held at the vehicle file's value")
     p.add_argument("--hold-noise", choices=("none", "sensor"), default="none",
                    help="sensor: hold the sensors' noise levels at those of the vehicle file")  # fmt: skip
+    p.add_argument("--trace", action="store_true", help="also add what is certain and worth nothing")
     p.add_argument(
         "--attainable", action="store_true", help="also learn, without a name, what could be closed (extra gp)"
     )
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of bootstraps and random halves")
-    p.add_argument("--out", default="greybox-discover", metavar="DIR", help="folder for the results")
+    p.add_argument("--out", default=None, metavar="DIR",
+                   help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
     p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
@@ -65,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.effects_file import load_effects
+    from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
     from greybox.report.discover_report import discover_report
 
@@ -75,15 +83,22 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
-    out = Path(arguments.out)
+    if arguments.folder is not None:
+        return _go_on(arguments)
+    if not arguments.train:
+        raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
+    out = Path(arguments.out or "greybox-discover")
     for path in map(Path, arguments.effects_file):
         if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
             raise GreyboxError(
                 f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
             )
-    vehicle = read_vehicle(arguments.vehicle)
+    if (arguments.vehicle is None) == (arguments.since is None):
+        raise GreyboxError("discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json")
     offered = {path: load_effects(path) for path in arguments.effects_file}
     own = [e for effects in offered.values() for e in effects]
+    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
     content: dict[str, Any] = {}
 
     def write(found: Discovery) -> None:
@@ -129,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
                 adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
                 fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", attainable=arguments.attainable,
-                seed=arguments.seed, faults=faults, progress=progress, save=write,
+                trace=arguments.trace, since=since, seed=arguments.seed, faults=faults, progress=progress, save=write,
             )  # fmt: skip
         except KeyboardInterrupt:
             if content:
@@ -153,4 +168,41 @@ def run(arguments: argparse.Namespace) -> int:
             model = shlex.quote(str(out / WITH_LAWS))
             print(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
         print(f"wrote {', '.join(kept)} and report.html in {out}")
+    return 0
+
+
+def _go_on(arguments: argparse.Namespace) -> int:
+    """Multiply the evidence of the names of an earlier search by that of further flights."""
+    from greybox.discovery.further import further
+    from greybox.errors import GreyboxError
+    from greybox.files import dump_json, read_json, write_atomic, write_json
+    from greybox.model.effects_file import load_effects
+    from greybox.model.identified import IdentifiedModel
+    from greybox.report.discover_report import discover_report
+
+    if arguments.vehicle is not None or arguments.since is not None:
+        raise GreyboxError("--continue goes on with its own model", fix="leave --vehicle and --from out")
+    folder, logs = Path(arguments.folder), [*arguments.train, *arguments.test]
+    if not logs:
+        raise GreyboxError("--continue needs further flights", fix="--train LOGS or --test LOGS")
+    content = read_json(folder / "discovery.json")
+    files = [*content.get("effects_files", ()), *arguments.effects_file]
+    own = [e for path in files for e in load_effects(path)]
+    model = IdentifiedModel.load(folder / "model.json", effects=own)
+    rate = arguments.rate or 1 / model.sample_time
+    data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
+    content = further(content, model, data, own)
+    out = Path(arguments.out or folder)
+    write_json(out / "discovery.json", content)
+    title = f"What the model of {model.physics.vehicle.name} misses"
+    write_atomic(out / "report.html", discover_report(content, title=title))
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(content))
+        return 0
+    if arguments.json:
+        write_json(arguments.json, content)
+    print(content["line"])
+    for e in (*content["effects"], *content["not_certified"]):
+        print(f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)")
+    print(f"wrote discovery.json and report.html in {out}")
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from greybox.model.sensor import Sensor
     from greybox.model.vehicle import Vehicle
     from greybox.residual.output_residual import OutputHybrid
-    from mpc_export.bundle import ExportBundle
 
 
 def load(
@@ -47,15 +47,15 @@ def export(
     *,
     targets: Iterable[str] = ("c", "casadi"),
     **options: Any,
-) -> ExportBundle:
-    """Write a fitted model to `folder` for a controller, as `greybox export` does.
+) -> Path:
+    """Write a fitted model to `folder` for a controller, as `greybox export` does; returns the folder.
 
     `targets` and the other options (`name`, `dt`, `real`, `with_`, `runtime_parameters`, `points`) are those of
     `mpc_export.bundle.write_bundle`, which says what they mean and what is raised.
     """
     from mpc_export.bundle import write_bundle
 
-    return write_bundle(model, folder, targets=targets, **options)
+    return write_bundle(model, folder, targets=targets, **options).folder
 
 
 def compare(

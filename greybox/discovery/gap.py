@@ -16,10 +16,10 @@ import numpy as np
 
 from greybox.data import Dataset, Flight, Segment
 from greybox.data.segment import START_SECONDS
-from greybox.discovery.velocity import unknown_start
 from greybox.errors import DataError
-from greybox.estimation.filtering import Filter, Filtered
+from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
+from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.baselines import ImuBias, ImuRecord, dead_reckoning
@@ -77,30 +77,26 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Foresight:
-    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`; and the
-    log likelihood of the one-step errors of `samples` samples (after the adaptation), one value per second of flight."""
+    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`."""
 
     own: Squares
     floor: Squares
-    logliks: FloatArray
-    samples: int = 1
-
-    @property
-    def loglik(self) -> float:
-        """Of all seconds."""
-        return float(self.logliks.sum())
 
 
-def squares(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> tuple[Squares, Squares]:
-    """The squared errors of `foresee` and of the floor."""
-    seen = foresee(model, data, adapt=adapt)
-    return seen.own, seen.floor
+def unknown_start(model: IdentifiedModel) -> bool:
+    """Whether readings do not tell with which velocity or rates a flight begins: no position and no velocity, or no
+    gyro."""
+    shown = {block: {s.name for s in SENSORS if s.shows == block} for block in ("position", "velocity", "rate")}
+    if not model.sensors:
+        return False
+    return not (shown["position"] | shown["velocity"]) & model.sensors or not shown["rate"] & model.sensors
 
 
 def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
 
-    Where readings do not tell with which velocity or rates a segment begins, its first `START` s do.
+    Physics alone foretells: force and torque that nobody named are zero from every origin on. Where readings do not
+    tell with which velocity or rates a segment begins, its first `START` s do.
     Raises `DataError` where no flight is long enough, `FitError` where a prediction is not finite.
     """
     runner, reader = Filter(model), GroupReader(model)
@@ -111,7 +107,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
     blind = unknown_start(model)
     own: Squares = {(g, s): [] for g in groups for s in SECONDS}
     floor: Squares = {(g, s): [] for g in groups for s in SECONDS}
-    logliks, samples = list[FloatArray](), 0
+    unnamed = [i for i, n in enumerate(model.dynamics.states.names) if n.startswith("disturbance.")]
     for flight in data:
         p = model.flight_vector(flight.name)
         begin = float(flight.segments[0].t[0])
@@ -129,8 +125,9 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 continue
             x0, sigma = _begun(model, flight, segment, runner) if blind else (None, None)
             filtered = runner.run(segment.without(flight.noncausal), p=p, x0=x0, x0_sigma=sigma)
-            logliks.append(_logliks(filtered, segment.t, late[0]))
-            samples += late.size
+            states = filtered.states.copy()
+            states[:, unnamed] = 0.0
+            filtered = replace(filtered, states=states)
             predicted = predict_from(runner.engine, reader, filtered, origins, steps=longest)
             references = {g: segment.matrix(GROUPS[g].columns, missing_ok=True) for g in groups}
             second = np.asarray((segment.t[origins] - segment.t[0]) // 1.0, dtype=int)
@@ -140,7 +137,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return Foresight(own=own, floor=floor, logliks=np.concatenate(logliks), samples=max(samples, 1))
+    return Foresight(own=own, floor=floor)
 
 
 def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> Start:
@@ -152,22 +149,6 @@ def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Fil
 def _start(segment: Segment) -> float:
     """`START`, of short segments a third."""
     return min(START, (segment.n - 1) * segment.dt / 3)
-
-
-def _logliks(filtered: Filtered, t: FloatArray, begin: int) -> FloatArray:
-    """Gaussian log likelihood of the innovations from sample `begin` on, one value per second."""
-    second = np.asarray((t - t[begin]) // 1.0, dtype=int)
-    total = np.zeros(int(second[-1]) + 1)
-    for g, there in enumerate(filtered.gains.there):
-        rows = np.flatnonzero(filtered.gains.pattern == g)
-        rows = rows[rows >= begin]
-        if not there.any() or not rows.size:
-            continue
-        s = filtered.covariance[g][np.ix_(there, there)]
-        e = filtered.innovations[np.ix_(rows, there)]
-        _, logdet = np.linalg.slogdet(2 * np.pi * s)
-        np.subtract.at(total, second[rows], 0.5 * ((e * np.linalg.solve(s, e.T).T).sum(axis=1) + float(logdet)))
-    return total
 
 
 def _collect(
@@ -213,7 +194,7 @@ def gap(
     before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, proposals: Squares | None = None,
     attainable: Squares | None = None, draws: int = 500, seed: int = 0,
 ) -> list[GapRow]:  # fmt: skip
-    """Rows for every group and horizon that both models predict, from what `squares` gave; `proposals` and `attainable`
+    """Rows for every group and horizon that both models predict, own and floor of `foresee`; `proposals` and `attainable`
     are squared errors of the model with the proposed laws and of the one with a learned part."""
     rng = np.random.default_rng(seed)
     out = []

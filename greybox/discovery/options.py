@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, TypedDict, Unpack
 
+from greybox.discovery.rules import EFFORT, Effort
 from greybox.estimation.options import FitOptions, chosen
 from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel
 
 
 class DiscoverChoices(TypedDict, total=False):
@@ -22,6 +24,9 @@ class DiscoverChoices(TypedDict, total=False):
     fixed: Iterable[str]
     hold_sensor_noise: bool
     attainable: bool
+    trace: bool
+    since: IdentifiedModel | None
+    effort: Effort
     seed: int
 
 
@@ -34,7 +39,7 @@ class DiscoverOptions:
     alpha: float = 0.05
     """Family-wise level of a name: the probability of a false one on flights that miss nothing."""
     max_effects: int = 8
-    """Additions after which the search stops."""
+    """Causes besides those of the base after which the search stops."""
     adapt: float | None = None
     """Seconds at the beginning of a test flight that its per-flight parameters are fitted on."""
     kinematic_noise: bool = False
@@ -47,6 +52,13 @@ class DiscoverOptions:
     """Whether the sensors' noise levels stay at those of the vehicle file."""
     attainable: bool = False
     """Whether a Gaussian process learns what the bare model misses (extra `gp`), for comparison."""
+    trace: bool = False
+    """Whether what is certain but worth nothing stays in the model."""
+    since: IdentifiedModel | None = None
+    """A model from which on changes are sought: its effects are known, its numbers with their
+    covariance the prior."""
+    effort: Effort = EFFORT
+    """How much is tried; decides nothing."""
     seed: int = 0
     """Seed of bootstraps and random halves."""
 
@@ -56,7 +68,10 @@ class DiscoverOptions:
 
     @classmethod
     def of(cls, options: DiscoverOptions | None, choices: DiscoverChoices) -> DiscoverOptions:
-        """`options` (None: the defaults) with the `choices` in place of its own. Raises `UnknownNameError`."""
+        """`options` (None: the defaults) with the `choices` in place of its own.
+
+        Raises `UnknownNameError`.
+        """
         return chosen("option of a search", options or cls(), choices)
 
     def but(self, **choices: Unpack[DiscoverChoices]) -> DiscoverOptions:
@@ -67,4 +82,4 @@ class DiscoverOptions:
     def of_every_fit(self) -> FitOptions:
         """What every fit of the search has in common."""
         held: Literal["process"] | bool = "process" if self.hold_sensor_noise else True
-        return FitOptions(per_flight=self.per_flight, estimate_noise=held)
+        return FitOptions(estimate_noise=held)

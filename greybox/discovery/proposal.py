@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from greybox.discovery.leftover import Leftover
+from greybox.discovery.law import Axis
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
 
@@ -39,7 +39,7 @@ def effect_name(channel: str, taken: Collection[str] = ()) -> str:
     return name
 
 
-def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> str:
+def proposal_text(law: Axis, number: int, taken: Collection[str] = ()) -> str:
     """The file for one axis, its effect named otherwise than those `taken`."""
     kind, axis = law.channel.split(".")
     place = "xyz".index(axis)
@@ -101,7 +101,7 @@ def proposal_text(law: Leftover, number: int, taken: Collection[str] = ()) -> st
     )
 
 
-def _past(law: Leftover) -> tuple[dict[int, int], list[str], list[str]]:
+def _past(law: Axis) -> tuple[dict[int, int], list[str], list[str]]:
     """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`, the declarations of times
     and dampings, and the two methods of an effect that remembers (none where no term does)."""
     places, remembered, changes, shapes = dict[int, int](), list[str](), list[str](), list[str]()
@@ -142,7 +142,7 @@ def _positive(
     )
 
 
-def proposed(laws: Sequence[Leftover], taken: Collection[str] = ()) -> tuple[Effect, ...]:
+def proposed(laws: Sequence[Axis], taken: Collection[str] = ()) -> tuple[Effect, ...]:
     """The effects of the proposals, read back from their files, so that they are what a user would get."""
     out: list[Effect] = []
     with tempfile.TemporaryDirectory() as folder:

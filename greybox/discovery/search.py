@@ -1,202 +1,271 @@
-"""Search: screen, add the best candidate that holds, repeat, leave out what is not needed.
+"""Search: from the base structure by the move that gains most evidence, until none does.
 
-One run has one model of the noise. White noise comes first; then what was found must prove itself with the noise that the
-sensors have, with or without a filter of the IMU, and with force and torque that are carried along.
+Moves are add, add together, drop, and swap one cause for another. Every structure has a prior: a
+cause that is not in the base costs the logarithm of how many were offered, so that many candidates
+make no name (Scott and Berger 2010, Annals of Statistics 38(5)). What is tried is heuristic; what is
+taken is the evidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 
-from greybox.discovery.candidates import TIMING
-from greybox.discovery.carried import all_white, whitens
-from greybox.discovery.imu_filter import filtered_after_all, filtered_imu, may_be_filtered, unfiltered
-from greybox.discovery.name import Addition, next_addition, prune, stands_in, still_there
-from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.screen import Score
-from greybox.discovery.velocity import drifts
-from greybox.discovery.veto import HeldOut, Withheld, unseen
+import numpy as np
 
-TRIES = 12
-"""Candidates of one step that may fail to prove themselves before a search that carries what is left stops: each costs fits
-with disturbance states."""
-Progress = Callable[[str, float], None]
+from greybox.discovery.colour import sensor_proposals
+from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
+from greybox.discovery.left import axis_gains
+from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
+
+Move = tuple[Structure, list[Mapping[Key, float]]]
+"""A structure and where its fit starts."""
+ROUNDS = 24
+"""Moves after which a search ends in any case: more than any craft misses."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """What one search gave; `filters`: BIC gain of filters of the IMU that came in on the way."""
+class Rival:
+    """A structure that does without a cause: `instead` are the causes in its place (none: it is
+    dropped), `share` of what its absence costs they were predicted to take over."""
 
-    nest: Nest
-    at: NestedFit
-    additions: list[Addition]
-    scores: list[Score]
-    withheld: list[Withheld]
-    warnings: list[str]
-    filters: dict[str, float]
+    instead: tuple[str, ...]
+    share: float
+    fitted: Fitted
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Search:
-    """Screen, add, repeat, prune: with the settings of one run. `may_filter`: whether a filter of the IMU may come in;
-    `carries`: whether what is left is carried along, and names must prove themselves or explain it."""
+    """The search on one set of `flights`. `interim` gets the structure after every step."""
 
-    held_out: HeldOut | None
-    alpha: float
-    seed: int
-    max_effects: int
-    say: Progress
-    interim: Callable[[NestedFit, Iterable[Addition]], None]
-    may_filter: bool = True
-    carries: bool = False
+    flights: Flights
+    most: int
+    say: Say
+    interim: Callable[[Fitted], None] = lambda _fit: None
+    steps: list[dict[str, object]] = field(default_factory=list)
+    rivals: dict[str, list[Rival]] = field(default_factory=dict)
+    scores: Scores | None = None
+    tried: set[tuple[Structure, Structure]] = field(default_factory=set)
 
-    def run(self, nest: Nest, at: NestedFit, before: Found | None = None) -> Found:
-        """From the fit `at` until no candidate passes; what was found `before`, with other noise, must prove itself, unless
-        this search carries what is left along."""
-        additions, withheld, warnings = list[Addition](), list[Withheld](), list[str]()
-        scores: list[Score] = []
-        filters: dict[str, float] = {}
-        spared: set[str] = set()
-        if before is not None:
-            filters |= before.filters
-            if self.carries:  # what a disturbance can take up has lost power, not its evidence
-                additions, spared = list(before.additions), set(at.effects)
+    @property
+    def price(self) -> float:
+        """Log prior odds against one more cause."""
+        return float(np.log(max(len(self.flights.causes.effects), 1)))
+
+    def score(self, found: Fitted) -> float:
+        """Log posterior of a structure, up to a constant."""
+        added = [n for n in self.named(found.structure) if n not in self.flights.causes.base]
+        return found.log_evidence - self.price * len(added)
+
+    def named(self, structure: Iterable[str]) -> list[str]:
+        """Effects of a structure, in the order of the catalogue."""
+        there = set(structure)
+        return [n for n in self.flights.causes.effects if n in there]
+
+    def run(self, start: Fitted | None = None) -> Fitted:
+        """The structure from which no move gains evidence."""
+        at = start or self.flights.fit(self.flights.causes.base)
+        self.interim(at)
+        for turn in range(ROUNDS):
+            self.say(f"step {turn + 1}: {_named(self.named(at.structure))}", min(0.05 + 0.05 * turn, 0.5))
+            better = self._add(at)
+            if better is not None:
+                better = self._leaner(better) or better
             else:
-                at, additions, warnings = prune(nest, at, before.additions, single=True)
-        ready: list[Score] | None = None
-        plain: tuple[Nest, NestedFit] | None = None
-        for step in range(len(additions), self.max_effects + 1):
-            if drifts(at.fit.model):
-                scores = []
-                warnings.append(
-                    f"nothing further was sought: with {' and '.join(at.effects)} the model has a velocity that its filter "
-                    "does not see at rest"
-                )
+                better = self._leaner(at) or self._swap(at)
+            if better is None:
+                return at
+            at = better
+            self.interim(at)
+        return at
+
+    # ---------------------------------------------------------------- moves
+
+    def _add(self, at: Fitted) -> Fitted | None:
+        """The structure with one cause, or several, more; or with noise of the sensors."""
+        scores = self.scores = scored(self.flights, at)
+        offered = self._sensors(at)
+        if len(self.named(at.structure)) < self.most:
+            promising = [p for p in proposals(scores, self.price) if p.gain > 0]
+            chosen = promising[: self.flights.effort.tried]
+            together = self._together(scores)
+            if together is not None:
+                chosen.insert(0, together)
+            chosen += [typical(self.flights, n) for n in scores.unscored]
+            offered += self._moves(at, chosen)
+        best = self._best(at, self.flights.contest(offered, at), scores)
+        if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
+            # What is not felt alone can only explain what is there and has no name.
+            moves = self._moves(at, unfelt(scores, self.flights))
+            best = self._best(at, self.flights.contest(moves, at), scores)
+        return best
+
+    def _sensors(self, at: Fitted) -> list[Move]:
+        """Colour, or a filter, of sensors whose innovations are not white."""
+        ways = sensor_proposals(at, self.flights.causes)
+        self.flights.causes = self.flights.causes.with_cause(*(c for way in ways for c in way))
+        wanted = [at.structure | {c.name for c in way} for way in ways]
+        return [(s, [at.known]) for s in wanted if self._new(at, s)]
+
+    def _together(self, scores: Scores) -> Proposal | None:
+        """All causes that still gain next to those before them, most first."""
+        names: list[str] = []
+        gained = 0.0
+        room = self.most - len(self.named(scores.at.structure))
+        while len(names) < room:
+            more = {n: scores.gain(*names, n) for n in scores.absent if n not in names}
+            best = max(more, key=lambda n: more[n], default=None)
+            if best is None or more[best] - gained <= self.price:
                 break
-            scores, ready = ready or self._screen(nest, at, step), None
-            if step == self.max_effects:
-                if any(s.judged and s.p_family <= self.alpha for s in scores):
-                    warnings.append(f"stopped at {self.max_effects} additions: more would pass the tests")
-                break
-            found, refused_now = _earned(nest, at, scores, self.alpha, self.held_out, self.carries)
-            withheld += refused_now
-            if found is None:
-                break
-            if self.may_filter and set(TIMING) & set(found.effects):
-                # A filter of the IMU looks like a lag or a delay.
-                ready = self._screen(nest, found.after, step + 1)
-                instead = filtered_imu(nest, at, found.after) if may_be_filtered(found.after, ready, self.alpha) else None
-                if instead is not None:
-                    self.say("the IMU is filtered", min(0.14 + 0.08 * step, 0.7))
-                    plain = nest, found.after
-                    nest, at, gains = instead
-                    filters |= gains
-                    ready = None
-                    continue
-            self.say(f"added {' and '.join(found.effects)}", min(0.14 + 0.08 * step, 0.7))
-            at = found.after
-            additions = still_there([*additions, found], at)
-            self.interim(at, additions)
-        at, additions, removed = prune(nest, at, additions, spared=spared)
-        at, additions, off = without_bent(nest, at, additions)
-        withheld += off
-        done = Found(
-            nest=nest, at=at, additions=additions, scores=scores, withheld=withheld, warnings=warnings + removed,
-            filters=filters,
-        )  # fmt: skip
-        if plain is not None:
-            lean = unfiltered(*plain, at)
-            return done if lean is None else self._again(done, "the IMU is not filtered after all", plain[0], lean, {})
-        after_all = filtered_after_all(nest, at) if self.may_filter and set(TIMING) & set(at.effects) else None
-        return done if after_all is None else self._again(done, "the IMU is filtered after all", *after_all)
+            names.append(best)
+            gained = more[best]
+        return scores.proposal(*names) if len(names) > 1 else None
 
-    def _again(
-        self, done: Found, why: str, nest: Nest, at: NestedFit, filters: dict[str, float]
-    ) -> Found:  # fmt: skip
-        """The search from the fit `at`, which has a filter of the IMU more or less than what was `done`."""
-        self.say(why, 0.71)
-        kept = [replace(a, effects=tuple(e for e in a.effects if e in at.effects)) for a in done.additions]
-        left = replace(done, nest=nest, at=at, additions=[a for a in kept if a.effects], filters=filters)
-        return replace(self, may_filter=False).run(nest, at, left)
+    def _moves(self, at: Fitted, chosen: Iterable[Proposal]) -> list[Move]:
+        moves: list[Move] = []
+        for p in chosen:
+            structure = at.structure | set(p.causes)
+            if self._new(at, structure):
+                moves.append((structure, self._starts(at, p)))
+        return moves
 
-    def _screen(self, nest: Nest, at: NestedFit, step: int) -> list[Score]:
-        self.say(f"screening, step {step + 1}", min(0.1 + 0.08 * step, 0.7))
-        return nest.screen(at, alpha=self.alpha, seed=self.seed)
+    def _new(self, at: Fitted, structure: Structure) -> bool:
+        """Whether a move was not tried yet."""
+        move = (at.structure, structure)
+        if structure == at.structure or move in self.tried:
+            return False
+        self.tried.add(move)
+        return True
+
+    def _starts(self, at: Fitted, p: Proposal) -> list[Mapping[Key, float]]:
+        null = self.flights.causes.prior_of
+        out: list[Mapping[Key, float]] = []
+        for share in self.flights.effort.shares:
+            moved = {}
+            for (name, flight), value in p.start.items():
+                own = null(name)
+                zero = value if own is None else own[0]
+                moved[name, flight] = zero + share * (value - zero)
+            out.append({**at.known, **moved})
+        return out
+
+    def _leaner(self, at: Fitted) -> Fitted | None:
+        """The structure without causes that are not worth their price; None where all are."""
+        found, now = None, at
+        while True:
+            doubted = [n for n in sorted(now.structure) if self._doubted(now, n)]
+            wanted = [
+                (now.structure - {n}, [_without(now, self.flights, n)])
+                for n in doubted
+                if self._new(now, now.structure - {n})
+            ]
+            white = frozenset(n for n in now.structure if n in self.flights.causes.effects)
+            if self._new(now, white):  # colour that was physics goes with it
+                wanted.append((white, [now.known]))
+            better = self._best(now, self.flights.contest(wanted, now))
+            if better is None:
+                return found
+            found = now = better
+
+    def _doubted(self, at: Fitted, name: str) -> bool:
+        """Whether dropping a cause may gain: its density at none against that of its prior (Dickey
+        1971, Annals of Mathematical Statistics 42(1)), with the price of a cause to spare."""
+        return drop_gain(at, self.flights, name) > -3 * self.price
+
+    def _swap(self, at: Fitted) -> Fitted | None:
+        """The structure with another cause in the place of one, where that is likelier."""
+        self.contest(at)
+        found = [r.fitted for rows in self.rivals.values() for r in rows]
+        return self._best(at, found)
+
+    def contest(self, at: Fitted) -> dict[str, list[Rival]]:
+        """Every named cause of `at` against what could stand in its place, and against nothing."""
+        scores = self.scores
+        if scores is None or scores.at is not at:
+            scores = self.scores = scored(self.flights, at)
+        self.rivals = {}
+        for name in self.named(at.structure):
+            left = at.structure - {name}
+            known = _without(at, self.flights, name)
+            rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
+            asked: list[Move] = [(left, [known])]
+            for share, names, p in scores.instead(name)[: self.flights.effort.rivals]:
+                if share < 0.5:
+                    break
+                rows.append((names, share))
+                asked.append((left | set(names), [{**known, **p.start}, known]))
+            fits = self.flights.contest(asked, at)
+            self.rivals[name] = [
+                Rival(instead=names, share=share, fitted=f)
+                for (names, share), f in zip(rows, fits, strict=True)
+            ]
+        return self.rivals
+
+    # ---------------------------------------------------------------- fits
+
+    def _best(
+        self,
+        at: Fitted,
+        found: Iterable[Fitted],
+        scores: Scores | None = None,
+    ) -> Fitted | None:
+        fits = [f for f in found if np.isfinite(f.log_evidence)]
+        best = max(fits, key=self.score, default=None)
+        gained = -np.inf if best is None else self.score(best) - self.score(at)
+        if scores is not None:
+            predicted = {n: scores.gain(n) for n in scores.absent}
+            self.steps.append(
+                {
+                    "structure": self.named(at.structure),
+                    "log_evidence": at.log_evidence,
+                    "predicted": predicted,
+                    "tried": [
+                        {
+                            "added": sorted(f.structure - at.structure),
+                            "gain": f.log_evidence - at.log_evidence,
+                        }
+                        for f in fits
+                    ],
+                    "added": [] if best is None or gained <= 0 else sorted(best.structure - at.structure),
+                }
+            )
+        return best if gained > 0 else None
 
 
-def without_bent(
-    nest: Nest, at: NestedFit, additions: Sequence[Addition]
-) -> tuple[NestedFit, list[Addition], list[Withheld]]:
-    """The fit and the additions without names that later ones, or other noise, drove to a bound, and of which no other
-    estimate is clear of none: such a name stands in for something else."""
-    off = []
-    for name in at.effects:
-        null = nest.candidates.null
-        own = [(n, e) for n, e in at.fit.parameters.items() if n.split(".")[0] == name]
-        bent = [n for n, e in own if e.at_bound and e.value != null[n]]
-        if bent and (len(bent) == len(own) or unseen(at, (name,), null) is not None):
-            off.append(Withheld(effects=(name,), reason="its estimates ran to a bound: it stands in for something else"))
-    if not off:
-        return at, list(additions), []
-    gone = {n for w in off for n in w.effects}
-    at = nest.refit(tuple(e for e in at.effects if e not in gone), start=at)
-    return at, still_there(additions, at), off
+def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
+    """Log evidence that leaving a cause out is predicted to gain (Savage and Dickey)."""
+    cause = flights.causes.offered[name]
+    rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
+    if not rows or at.value.hessian is None:
+        return 0.0 if rows else np.inf
+    if cause.kind == "sensor noise":
+        return -np.inf
+    h = at.value.hessian + 1e-12 * np.diag(np.diag(at.value.hessian))
+    free = ~at.held
+    scale = 1 / np.sqrt(np.diag(h))
+    inverse = np.zeros_like(h)
+    place = np.flatnonzero(free)
+    unit = h[np.ix_(place, place)] * np.outer(scale[place], scale[place])
+    inverse[np.ix_(place, place)] = np.linalg.pinv(unit, hermitian=True) * np.outer(
+        scale[place], scale[place]
+    )
+    live = [i for i in rows if free[i]]
+    if not live:
+        return np.inf
+    null = np.array([cause.prior[at.problem.unknowns[i].name][0] for i in live])
+    sigma = np.array([cause.prior[at.problem.unknowns[i].name][1] for i in live])
+    cov = inverse[np.ix_(live, live)]
+    off = at.theta[live] - null
+    _, logdet = np.linalg.slogdet(cov)
+    here = -0.5 * float(off @ np.linalg.solve(cov, off)) - 0.5 * float(logdet)
+    return here + float(np.log(sigma).sum())
 
 
-def _earned(
-    nest: Nest, at: NestedFit, scores: Sequence[Score], alpha: float, held_out: HeldOut | None, carries: bool = False
-) -> tuple[Addition | None, list[Withheld]]:
-    """The best addition that flights which were not searched do not contradict, and those that they did. Where what is left
-    is carried along (`carries`) these flights must speak for it and, unless it makes innovations white, errors ahead must
-    fall there, clearly more than with a rival: `TRIES` tries."""
-    withheld: list[Withheld] = []
-    contradicted: list[Addition] = []
-    while True:
-        # Of a pair that failed either may stand alone.
-        refused = {frozenset(w.effects) for w in withheld}
-        out = {w.effects[0] for w in withheld if len(w.effects) == 1}
-        found = next_addition(nest, at, [s for s in scores if s.name not in out], alpha, refused)
-        if found is None or (carries and len(withheld) >= TRIES):
-            return None, withheld
-        doubt = carries and not _plain(at, found)
-        refusal = unseen(found.after, found.effects, nest.candidates.null)
-        if refusal is None and held_out is not None:
-            refusal = held_out.withheld(found.before, found.after, supported=carries, nearer=doubt)
-            if refusal is not None:
-                contradicted.append(found)
-            elif (other := stands_in(nest, found, contradicted)) is not None:
-                reason = f"it adds nothing to {' and '.join(other.effects)}, which is far likelier and was withheld"
-                refusal = Withheld(effects=found.effects, reason=reason)
-            elif doubt and found.rivals:
-                behind = _outdone(nest, at, found, held_out, refused)
-                withheld += behind
-                if behind:
-                    continue
-        if refusal is None:
-            return found, withheld
-        withheld.append(refusal)
+def _without(at: Fitted, flights: Flights, name: str) -> dict[Key, float]:
+    """What a fit found, a cause left out."""
+    gone = set(flights.causes.offered[name].parameters)
+    return {k: v for k, v in at.known.items() if k[0] not in gone}
 
 
-def _plain(at: NestedFit, found: Addition) -> bool:
-    """Whether the tests hold for an addition to `at` that carries what is left: innovations become white. Next to a lag or a
-    delay all must be, or it may stand in for a filter of the IMU, whose noise is coloured."""
-    late = set(TIMING) & set(found.effects)
-    return all_white(found.after.fit) if late else whitens(at.fit, found.after.fit)
-
-
-def _outdone(
-    nest: Nest, at: NestedFit, found: Addition, held_out: HeldOut, refused: Collection[frozenset[str]]
-) -> list[Withheld]:
-    """The rivals of `found` with which errors ahead on flights that were not searched stay clearly larger."""
-    estimates = {k: v for s in found.scores for k, v in s.estimate.items()}
-    out = []
-    for rival in (tuple(n.split("+")) for n in found.rivals):
-        if set(rival) & set(found.effects) or frozenset(rival) in refused:
-            continue
-        first = {k: v for k, v in estimates.items() if k[0].split(".")[0] in rival}
-        other = nest.refit((*at.effects, *rival), start=at, first=first)
-        if held_out.outdoes(found.after.fit, other.fit):
-            reason = f"errors ahead on flights that were not searched fall clearly more with {' and '.join(found.effects)}"
-            out.append(Withheld(effects=rival, reason=reason))
-    return out
+def _named(names: list[str]) -> str:
+    return ", ".join(names) if names else "nothing added"

@@ -18,7 +18,8 @@ class Parameter:
 
     `nominal` is the value where nothing else is said, `null` the value that removes the effect (None where there is
     no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior), `scale`
-    the size of a typical change (for conditioning and for random starts).
+    the size of a typical change (for conditioning and for random starts), `possible` the largest distance from `null`
+    that a craft can have: more is a fault of the data, not a property of the vehicle.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Parameter:
     null: float | None = None
     sigma: float = math.inf
     scale: float = 1.0
+    possible: float = math.inf
     scope: Scope = "shared"
     meaning: str = ""
 

@@ -1,7 +1,5 @@
-"""The report of `greybox discover`: from discovery.json (greybox.discovery/1) to one HTML page that tells the story.
-
-The file is long because a page is one story: a function per section, in the order in which they are read.
-"""
+"""The report of `greybox discover`: from discovery.json (greybox.discovery/2) to one HTML page that
+tells the story, a function per section, in the order in which they are read."""
 
 from __future__ import annotations
 
@@ -9,43 +7,39 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures
-from greybox.report.discover_figures import band_map, evidence, paired_bars, regime_map
-from greybox.report.discover_sections import flights_section, sensors_section
+from greybox.report.discover_figures import evidence, paired_bars
+from greybox.report.discover_sections import sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
-from greybox.report.words import number, p_value, rounded
-from greybox.statistics.chi_square import log_tail
-from greybox.statistics.evidence import CLEAR, CLEAR_LOG_RATIO
+from greybox.report.words import number, rounded
 
 ANSWERS = {
     "bad_data": "The data have faults that block the search. They would be read as physics, so nothing was searched.",
+    "stopped": "The search was stopped before its end. What it had found until then is not judged.",
     "named": "Something was missing, and it has a name.",
     "ambiguous": "Something is missing. These data cannot say which of several effects it is.",
-    "unnamed": "Something structured is left that no effect of the catalogue explains.",
+    "unnamed": "Something is left that no effect of the catalogue explains.",
     "nothing_missing": "Nothing is missing at the power of these data.",
 }
 BARS = 14
 """Candidates that a bar chart shows; the table has all."""
 
-CLOCKS = {"command_delay", "sensor_delay", "pose_delay"}
-"""Delays that shift one clock against another: of the three a log shows two."""
 
 def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
-    """The page of a discovery. `content` follows schemas/discovery.json. Raises `KeyError` where a required field is
-    missing."""
+    """The page of a discovery. `content` follows schemas/discovery.json. Raises `KeyError` where a
+    required field is missing."""
     report = Report(title or "What the model misses", _subtitle(content))
     for text in [*(f"data fault: {f}" for f in content["faults"]), *content["warnings"]]:
         report.warning(text)
     _answer(report, content)
+    _names(report, content)
+    _alike(report, content)
+    _no_name(report, content)
     _where(report, content)
     _which(report, content)
-    _added(report, content)
-    flights_section(report, content)
-    _withheld(report, content)
     sensors_section(report, content)
     _gap(report, content)
     _power(report, content)
@@ -72,22 +66,20 @@ def _numbers(effect: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _in_other_words(effect: Mapping[str, Any]) -> str:
-    same = [_list(n.split("+")) for n in effect["alternatives"]]
-    return "".join(f" (or, the same thing here, {n} alike)" for n in same)
-
-
 def _answer(report: Report, content: Mapping[str, Any]) -> None:
     report.section("The answer")
     verdict = content["verdict"]
-    (report.verdict if verdict in ("named", "nothing_missing") else report.paragraph)(ANSWERS[verdict])
-    texts = [f"{e['name']}: {_numbers(e)}" + _in_other_words(e) for e in content["effects"]]
+    clear = verdict in ("named", "nothing_missing")
+    (report.verdict if clear else report.paragraph)(ANSWERS[verdict])
+    texts = [f"{e['name']}: {_numbers(e)}, {e['status']}" for e in content["effects"]]
     texts += [
         "one of " + ", ".join(f"{c['name']} ({100 * c['weight']:.0f} %)" for c in a["candidates"])
         for a in content["ambiguous"]
     ]
     texts += [
-        f"no name, but a law: {u['proposal']} [{u['unit']}]" if u["proposal"] else f"no name and no law: {_lawless(u)}"
+        f"no name, but a law: {u['proposal']} [{u['unit']}]"
+        if u["proposal"]
+        else f"no name and no law: {_lawless(u)}"
         for u in content["unnamed"]
     ]
     best = _closed(content)
@@ -100,20 +92,120 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
 
 
 def _lawless(axis: Mapping[str, Any]) -> str:
-    lasts = axis.get("lasts_s")
     size = f"{axis['channel']}, {number(axis['rms'], 2)} {axis['unit']}"
+    lasts = axis.get("lasts_s")
     return size + (f" that lasts {number(lasts, 2)} s" if lasts is not None else "")
 
 
 def _closed(content: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Group -> row of the gap half a second ahead, where there was one to close and something was added."""
+    """Group -> row of the gap half a second ahead, where there was one to close."""
     if not content["effects"] and not content["ambiguous"]:
         return {}
-    return {r["group"]: r for r in content["gap"] if r["horizon_s"] == 0.5 and r["closed"] is not None}
+    rows = content["gap"]
+    return {r["group"]: r for r in rows if r["horizon_s"] == 0.5 and r["closed"] is not None}
 
 
 def _percent(value: float) -> str:
     return f"{number(100 * value, 3)} %"
+
+
+def _float(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _worth(worth: Mapping[str, Any] | None) -> str:
+    if worth is None:
+        return "not known"
+    ahead = f"{worth['horizon_s']:g} s" if worth["horizon_s"] else "one sample"
+    group = str(worth["group"]).replace("_", " ")
+    return f"{_percent(worth['share'])} of {group}, {ahead} ahead"
+
+
+def _names(report: Report, content: Mapping[str, Any]) -> None:
+    if not content["effects"]:
+        return
+    report.section("What has a name")
+    where = "flights that did not propose it" if content["gap_on"] == "test" else (
+        "halves of the flights, each judging what the other taught"
+    )
+    report.paragraph(
+        f"Each name stands on {where}: its e-value says how much likelier they are with the name "
+        "than with the strongest thing that could stand in its place, everything else free. If it "
+        "were not there, an e-value of 100 or more would come up in one search of a hundred at most. "
+        f"A name needs 10 to the power of {number(content['bar_log10_e'], 2)}, as many were offered."
+    )
+    rows: list[list[Cell]] = []
+    for e in content["effects"]:
+        for name, p in e["parameters"].items():
+            value, std = rounded(p["value"], p["std"])
+            spread: Cell = Tag(text="at bound") if p["std"] is None else std
+            evidence_of = [number(e["log10_e"], 3), e["against"], _worth(e["worth"]), e["status"]]
+            rows.append([f"{e['name']}.{name}", value, spread, p["unit"], *evidence_of])
+    heads = ["parameter", "value", "std", "unit", "log10 e", "against", "removes", "status"]
+    report.table(
+        heads,
+        rows,
+        numeric=(1, 2, 4),
+        caption="Removes: share of the squared error, in the channels and at the horizon where the "
+        "name is worth most. Supported: certain only in that it foretells better on average.",
+    )
+    panels: list[tuple[Figure, str]] = []
+    for e in content["effects"]:
+        for unit in dict.fromkeys(p["unit"] for p in e["parameters"].values()):
+            own = {n: p for n, p in e["parameters"].items() if p["unit"] == unit}
+            values, errors = zip(*((p["value"], p["std"]) for p in own.values()), strict=True)
+            figure = figures.dot_plot(
+                list(own), [*map(_float, values)], [*map(_float, errors)],
+                title=e["name"], unit=unit, mark=0.0,
+            )  # fmt: skip
+            panels.append((figure, f"Estimates of {e['name']} with 95 % intervals"))
+    if panels:
+        report.figures(panels, caption="95 % intervals; the dashed line is no effect.")
+
+
+def _alike(report: Report, content: Mapping[str, Any]) -> None:
+    for a in content["ambiguous"]:
+        report.section(f"One of {len(a['candidates'])}")
+        report.paragraph(
+            "Something of these is there; the flights that judged cannot say which. Shares are the "
+            "probabilities if it is one of them."
+        )
+        rows: list[list[Cell]] = [[c["name"], _percent(c["weight"])] for c in a["candidates"]]
+        report.table(["candidate", "share"], rows, numeric=(1,))
+        fly = a["separating_manoeuvre"]
+        if isinstance(fly, Mapping):
+            _manoeuvre(report, fly)
+
+
+def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
+    """What to fly so that the candidates part."""
+    report.paragraph(
+        "What tells them apart: every manoeuvre below was flown in simulation with each candidate as "
+        "the truth. Listed is the log likelihood ratio that the other candidates are expected to "
+        "lose, whatever they bend within what these flights allow."
+    )
+    rows: list[list[Cell]] = [
+        [
+            m["text"],
+            f"{number(m['amplitude'], 3)} {m['unit']}" if m["unit"] else "",
+            number(m["seconds"], 3),
+            number(m["expected_log_likelihood_ratio"], 3),
+            "never" if m["seconds_to_bic_10"] is None else number(m["seconds_to_bic_10"], 2),
+        ]
+        for m in (fly, *fly.get("runners_up", ()))
+    ]
+    heads = ["manoeuvre", "amplitude", "seconds", "expected ratio", "seconds to a ratio of 5"]
+    report.table(heads, rows, numeric=(2, 3, 4))
+
+
+def _no_name(report: Report, content: Mapping[str, Any]) -> None:
+    rows: list[list[Cell]] = [
+        [r["name"], r["status"], number(r["log10_e"], 3), r["reason"]]
+        for r in (*content["traces"], *content["not_certified"])
+    ]
+    if rows:
+        report.section("What was asked and has no name")
+        report.table(["effect", "status", "log10 e", "why"], rows, numeric=(2,))
 
 
 def _where(report: Report, content: Mapping[str, Any]) -> None:
@@ -121,20 +213,10 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
     if not rows:
         return
     report.section("Where simulation and data disagree")
-    gain = content["deficiency"]
-    before, after = gain["before"], gain["after"]
-    if before is not None and before <= CLEAR:
-        report.verdict(
-            "A force and torque that change slowly, added to the model, explain nothing that white noise does not: there is "
-            "no place where the equations are seen to fail."
-        )
-    else:
-        report.paragraph(
-            "Where the equations fail, a force or torque that nobody modelled acts on the vehicle. It was estimated along "
-            "the flight; the bars are its size on every body axis. "
-            f"With it, the model improves by {number(before, 3)} BIC before, and {number(after, 3)} after the additions "
-            f"(above {CLEAR:g}: something is there)."
-        )
+    report.paragraph(
+        "Every model of the search carries a force and a torque that nobody modelled. They were "
+        "estimated along the flight; the bars are their size on every body axis."
+    )
     panels: list[tuple[Figure, str]] = []
     for kind in ("force", "torque"):
         own = [r for r in rows if r["channel"].startswith(kind)]
@@ -146,210 +228,45 @@ def _where(report: Report, content: Mapping[str, Any]) -> None:
                 unit=own[0]["unit"],
                 title=f"unmodelled {kind}, body axes",
             )
-            panels.append((figure, f"Unmodelled {kind} per body axis before and after the additions"))
+            alt = f"Unmodelled {kind} per body axis before and after the additions"
+            panels.append((figure, alt))
     report.figures(
-        panels, key=[Key(text="before", colour="c4"), Key(text="after", colour="c1")],
+        panels,
+        key=[Key(text="before", colour="c4"), Key(text="after", colour="c1")],
         caption="RMS of the smoothed discrepancy over the training flights.",
-    )  # fmt: skip
-    seen = [[r["channel"], ", ".join(r["depends_on"]), _percent(r["share"])] for r in rows if r["proposal"]]
-    if seen:
-        report.table(
-            ["axis", "follows", "share"], seen, numeric=(2,),
-            caption="Signals that the discrepancy follows before the additions, and the share of its variance that they "
-            "explain on flights that were left out.",
-        )  # fmt: skip
-    _regimes(report, content)
-    _bands(report, content)
-
-
-def _regimes(report: Report, content: Mapping[str, Any]) -> None:
-    rows = content.get("regimes", [])
-    before = content["deficiency"]["before"]
-    if not rows or before is None or before <= CLEAR:
-        return
-    names = [r["channel"] for r in content["locations"]]
-    panels: list[tuple[Figure, str]] = []
-    for r in rows:
-        figure = regime_map(names, r["edges"], r["ratio"], title=f"{r['signal']} [{r['unit']}]")
-        panels.append((figure, f"Unmodelled force and torque per axis in quarters of {r['signal']}"))
-    report.figures(
-        panels,
-        caption="In which regime it lives: each column holds a quarter of the flight, from the lowest to the highest values "
-        "of the signal. Coloured: the unmodelled force or torque is larger there than over the whole flight (full colour: "
-        "twice as large).",
     )
-
-
-def _float(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _bands(report: Report, content: Mapping[str, Any]) -> None:
-    found = content.get("spectrum")
-    if not found:
-        return
-    names = [c["name"] for c in found["channels"]]
-    panels: list[tuple[Figure, str]] = []
-    for label in ("before", "after"):
-        density = np.array([[_float(v) for v in c[label]] for c in found["channels"]])
-        panels.append(
-            (
-                band_map(names, found["frequency_hz"], density, title=f"one-step errors {label}"),
-                f"Map of one-step errors per channel and frequency band, {label} the additions",
-            )
-        )
-    report.figures(
-        panels,
-        caption="Each row is a measured channel, each column a frequency band. Coloured: one-step errors larger than the "
-        "mean of that channel's errors after the additions (full colour: 15 dB). A model that misses nothing leaves the map "
-        "empty.",
-    )
-
-
-def _strength(score: Mapping[str, Any]) -> float:
-    """-log10 p, finite however small p is."""
-    return float(-log_tail(score["statistic"], max(score["dof"], 1))[0] / math.log(10))
 
 
 def _which(report: Report, content: Mapping[str, Any]) -> None:
-    steps = content["steps"]
+    steps = [s for s in content["steps"] if any(v > 0 for v in s["predicted"].values()) or s["tried"]]
     if not steps:
         return
-    report.section("Which effect it is")
-    alpha = float(content["settings"].get("alpha", 0.05))
+    report.section("How the search went")
     report.paragraph(
-        "Every effect of the catalogue was tested at the model without it: would the prediction errors shrink if it were "
-        f"there? The dashed line is what the strongest of all candidates passes by chance in {100 * alpha:g} % of flights "
-        "that miss nothing. Those that pass compete in a joint refit; the one that wins clearly is added, and everything is "
-        "tested again."
+        "At every step each absent cause says what the flights would gain in log evidence by it, to "
+        "second order. Those that promise most are fitted; what gains most is taken."
     )
     panels: list[tuple[Figure, str]] = []
-    for step in steps:
-        scores = sorted(step["scores"], key=lambda s: s["gain"], reverse=True)[:BARS]
-        if not scores:
+    for k, step in enumerate(steps, 1):
+        gains = {n: v for n, v in step["predicted"].items() if v > 0}
+        best = sorted(gains, key=lambda n: -gains[n])[:BARS]
+        if not best:
             continue
-        limit = step["p_limit"]
         added = " + ".join(step["added"]) or "nothing"
-        figure = evidence(
-            [s["name"] for s in scores],
-            [_strength(s) for s in scores],
-            ["c3" if s["name"] in step["added"] else "c1" if s["p_family"] <= alpha else "muted" for s in scores],
-            -math.log10(limit) if limit else None,
-            title=f"step {step['step']}: {added} added",
-        )
-        panels.append((figure, f"Evidence for each candidate at step {step['step']}, {added} added"))
-    report.figures(
-        panels,
-        key=[
-            Key(text="added", colour="c3"),
-            Key(text="passes", colour="c1"),
-            Key(text="does not", colour="muted"),
-        ],
-        caption="From the top by the gain in likelihood that the test expects. A large effect makes many others pass; which "
-        "of them explains it best, the refits say.",
-    )
-    rows: list[list[Cell]] = [
-        [
-            s["name"],
-            str(step["step"]),
-            number(s["gain"], 4),
-            number(s["statistic"], 4),
-            s["dof"],
-            p_value(s["p_family"]),
-        ]
-        for step in steps
-        for s in step["scores"]
-    ]
-    with report.details(f"All tests ({len(rows)})"):
-        report.table(["candidate", "step", "expected gain", "statistic", "degrees of freedom", "p of the largest of all"],
-                     rows, numeric=(1, 2, 3, 4, 5))  # fmt: skip
-
-
-def _added(report: Report, content: Mapping[str, Any]) -> None:
-    if not content["effects"] and not content["ambiguous"]:
-        return
-    report.section("What was added")
-    rows: list[list[Cell]] = []
-    for e in content["effects"]:
-        for name, p in e["parameters"].items():
-            value, std = rounded(p["value"], p["std"])
-            rival = e["delta_bic_rival"]
-            rows.append(
-                [
-                    f"{e['name']}.{name}", value, Tag(text="at bound") if p["std"] is None else std, p["unit"],
-                    str(e["step"]), p_value(e["p_value"]), number(e["delta_bic"], 3),
-                    "no rival" if rival is None else number(rival, 3),
-                ]
-            )  # fmt: skip
-    if rows:
-        report.table(
-            ["parameter", "value", "std", "unit", "step", "p", "BIC gained", "BIC to the next"], rows,
-            numeric=(1, 2, 4, 5, 6, 7),
-            caption="Estimates of the last joint fit. p: of the largest of all candidates, of its step. BIC to the next: "
-            f"how much worse the best other candidate fits (above {CLEAR:g}: the name is clear).",
-        )  # fmt: skip
-    panels: list[tuple[Figure, str]] = []
-    for e in content["effects"]:
-        for unit in dict.fromkeys(p["unit"] for p in e["parameters"].values()):
-            own = {n: p for n, p in e["parameters"].items() if p["unit"] == unit}
-            figure = figures.dot_plot(
-                list(own), [_float(p["value"]) for p in own.values()], [_float(p["std"]) for p in own.values()],
-                title=e["name"], unit=unit, mark=0.0,
-            )  # fmt: skip
-            panels.append((figure, f"Estimates of {e['name']} with 95 % intervals"))
+        looks = ["c3" if n in step["added"] else "c1" for n in best]
+        figure = evidence(best, [gains[n] for n in best], looks, title=f"step {k}: {added} added")
+        panels.append((figure, f"Predicted gain of each candidate at step {k}, {added} added"))
     if panels:
-        report.figures(
-            panels, caption="95 % intervals; the dashed line is no effect (accurate estimates: no bar is seen)."
-        )
-    for a in content["ambiguous"]:
-        report.paragraph(
-            f"One of these, within {CLEAR:g} BIC of each other; the weights are their probabilities if it is one of them:"
-        )
-        report.table(
-            ["candidate", "weight"], [[c["name"], _percent(c["weight"])] for c in a["candidates"]], numeric=(1,)
-        )
-        fly = a["separating_manoeuvre"]
-        if isinstance(fly, Mapping):
-            _manoeuvre(report, fly)
-
-
-def _manoeuvre(report: Report, fly: Mapping[str, Any]) -> None:
-    """What to fly so that the candidates part."""
-    report.paragraph(
-        "What tells them apart: every manoeuvre below was flown in simulation with each candidate as the truth. Listed is "
-        "the log likelihood ratio that the other candidates are expected to lose, after the manoeuvre, whatever they bend "
-        f"within what these flights allow ({CLEAR_LOG_RATIO:g} is BIC {CLEAR:g}), and the time to get there at that rate."
-    )
+        key = [Key(text="added", colour="c3"), Key(text="not added", colour="c1")]
+        report.figures(panels, key=key, caption="Predicted gain in log evidence.")
     rows: list[list[Cell]] = [
-        [
-            m["text"], f"{number(m['amplitude'], 3)} {m['unit']}" if m["unit"] else "", number(m["seconds"], 3),
-            number(m["expected_log_likelihood_ratio"], 3),
-            "never" if m["seconds_to_bic_10"] is None else number(m["seconds_to_bic_10"], 2),
-        ]
-        for m in (fly, *fly.get("runners_up", ()))
-    ]  # fmt: skip
-    heads = ["manoeuvre", "amplitude", "seconds", "expected ratio", f"seconds to BIC {CLEAR:g}"]
-    report.table(heads, rows, numeric=(2, 3, 4))
-
-
-def _withheld(report: Report, content: Mapping[str, Any]) -> None:
-    rows = content.get("withheld", [])
-    if not rows:
-        return
-    report.section("What was not given a name")
-    report.paragraph("These effects passed the tests and the refit, but not what a name must stand up to afterwards.")
-    report.table(["effect", "why"], [[_list(w["effects"]), w["reason"]] for w in rows])
-
-
-def _states_alone(content: Mapping[str, Any]) -> str:
-    """Errors half a second ahead with these states and no further name, and with the last name."""
-    rows = [r["errors"] for r in content["held_out_errors"] if r["carried"]]
-    if len(rows) < 2:
-        return ""
-    there = {e["group"]: e["rmse"] for e in rows[0] if e["horizon_s"] == 0.5}
-    last = {e["group"]: e["rmse"] for e in rows[-1] if e["horizon_s"] == 0.5}
-    parts = [f"{g.replace('_', ' ')} {there[g]:.3g} -> {last[g]:.3g}" for g in there if g in last]
-    return f" From the states alone to all names, half a second ahead: {', '.join(parts)}." if parts else ""
+        [str(k), " + ".join(t["added"]), number(t["gain"], 4)]
+        for k, step in enumerate(steps, 1)
+        for t in step["tried"]
+    ]
+    if rows:
+        with report.details(f"All fits ({len(rows)})"):
+            report.table(["step", "added", "gain in log evidence"], rows, numeric=(0, 2))
 
 
 def _gap(report: Report, content: Mapping[str, Any]) -> None:
@@ -359,15 +276,11 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
     report.section("How far the gap closed")
     where = "flights that were not searched in" if content["gap_on"] == "test" else "the training flights themselves"
     report.paragraph(
-        f"Open-loop prediction from the filtered state, on {where}. The floor is dead reckoning with the measured gyro and "
+        f"Open-loop prediction from the filtered state, on {where}, by physics alone: the unmodelled force and torque are "
+        "zero from the start of every prediction. The floor is dead reckoning with the measured gyro and "
         "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay "
         "above it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
     )
-    if content["settings"].get("carried"):
-        report.paragraph(
-            "The model after the additions carries what is left along as states of force and torque: it also predicts "
-            "better by what they know of the next tenths of a second." + _states_alone(content)
-        )
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
     panels: list[tuple[Figure, str]] = []
@@ -415,8 +328,8 @@ def _power(report: Report, content: Mapping[str, Any]) -> None:
     if sizes:
         report.section("What would have been seen")
         report.paragraph(
-            "The smallest size of every parameter that these flights would have shown with a probability of 90 %, next to "
-            "what was added. An effect that is smaller may be there."
+            "The smallest size of every parameter, alone, that is expected to be certified on flights like these. What is "
+            "smaller may be there."
         )
         rows: list[list[Cell]] = [[f"{n}.{p}", number(v, 3)] for n, p, v in sorted(sizes)]
         with report.details(f"Smallest sizes ({len(rows)} parameters)", open=len(rows) < 20):
@@ -438,23 +351,16 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             f"If you can, measure {_list([e['name'] for e in content['effects']])} by other means: a name with a number can "
             "be wrong, and then it can be shown to be wrong."
         )
-    if content["ambiguous"]:
-        told = [
-            a["separating_manoeuvre"] for a in content["ambiguous"] if isinstance(a["separating_manoeuvre"], Mapping)
-        ]
-        texts += [f"Fly what tells the candidates apart: {m['text']}." for m in told]
-        clocks = [
-            a for a in content["ambiguous"]
-            if {c["name"] for c in a["candidates"]} <= CLOCKS and a["separating_manoeuvre"] is None
-        ]  # fmt: skip
-        if clocks:
-            names = " or ".join(c["name"] for c in clocks[0]["candidates"])
+    for a in content["ambiguous"]:
+        names = " or ".join(c["name"] for c in a["candidates"])
+        fly = a["separating_manoeuvre"]
+        if isinstance(fly, Mapping):
+            texts.append(f"Fly what tells the candidates apart: {fly['text']}.")
+        else:
             texts.append(
-                f"No flight tells {names}: they only shift the clock. Measure one delay by itself, as from a command to the "
-                "rotor speed, or of a filter of the IMU from its settings, and put it into the vehicle file."
+                f"No flight of the library tells {names} apart: measure one of them by itself (a delay from a command to "
+                "the rotor speed, a bias at rest, a mass on a scale) and put it into the vehicle file."
             )
-        if len(told) + len(clocks) < len(content["ambiguous"]):
-            texts.append("Fly what tells the candidates apart: see the table of look-alikes in docs/discovery.md.")
     own = list(content.get("effects_files", ()))
     files = [u["file"] for u in content["unnamed"] if u.get("file")]
     if files:
@@ -472,18 +378,8 @@ def _next(report: Report, content: Mapping[str, Any]) -> None:
             f"No law was found for {_list(lawless)}: no signal of the log explains it, as with gusts, noise of force and "
             f"torque that lasts, or a state that nobody measured. {command} learns what can be learned of it."
         )
-    after = content["deficiency"]["after"]
-    if after is not None and after > CLEAR and not content["unnamed"]:
-        texts.append(
-            f"Something slow is left (BIC {number(after, 3)}) that follows no signal of the model: gusts, coloured sensor "
-            "noise or a state that is not measured. Fit with --disturbance force,torque to carry it."
-        )
     if content["gap_on"] == "train":
         texts.append("Give flights of their own with --test: errors on the flights searched in look too good.")
-    if any("collinear" in why for why in content["not_judged"].values()):
-        texts.append(
-            "What is collinear with free parameters can be judged once those are known: weigh, measure thrust."
-        )
     if verdict == "nothing_missing":
         texts.append("For a sharper answer fly longer, faster and more varied: sizes shrink with the root of the time.")
     report.bullets(texts)

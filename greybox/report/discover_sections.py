@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.report.html import Cell, Report, Tag
-from greybox.report.words import number, p_value, rounded
+from greybox.report.html import Cell, Report
+from greybox.report.words import number
 
 KINDS = {
     "coloured": "correlated noise", "line": "a line in the spectrum", "low_pass": "a low-pass filter",
@@ -37,14 +37,14 @@ def sensors_section(report: Report, content: Mapping[str, Any]) -> None:
         "These are not forces or torques: each stays in the channels of its sensor, while a force or torque reaches every "
         "channel that the motion couples. They are part of the noise that the names above were tested against."
     )
-    groups: dict[tuple[str, str, float | None], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for s in rows:
-        groups.setdefault((s["channel"].split(".")[0], s["kind"], s["delta_bic"]), []).append(s)
+        groups.setdefault((s["channel"].split(".")[0], s["kind"]), []).append(s)
     cells: list[list[Cell]] = [
-        [", ".join(s["channel"] for s in members), KINDS[kind], _numbers(members), number(gain, 3)]
-        for (_, kind, gain), members in groups.items()
+        [", ".join(s["channel"] for s in members), KINDS[kind], _numbers(members)]
+        for (_, kind), members in groups.items()
     ]
-    report.table(["channels", "what", "estimates", "BIC gained"], cells, numeric=(3,))
+    report.table(["channels", "what", "estimates"], cells)
     report.bullets([f"{KINDS[k]}: {ADVICE[k]}" for k in dict.fromkeys(s["kind"] for s in rows)])
 
 
@@ -60,22 +60,3 @@ def _numbers(members: Sequence[Mapping[str, Any]]) -> str:
         low, high = number(min(sizes), 3), number(max(sizes), 3)
         out.append(f"standard deviation {low if low == high else f'{low} to {high}'}")
     return "; ".join(out)
-
-
-def flights_section(report: Report, content: Mapping[str, Any]) -> None:
-    """Values of the named parameters flight by flight, of `content["stability"]`; nothing where there is none."""
-    rows = content.get("stability", ())
-    if not rows:
-        return
-    flights = list(dict.fromkeys(f for r in rows for f in r["flights"]))
-    cells: list[list[Cell]] = []
-    for r in rows:
-        row: list[Cell] = [r["parameter"]]
-        for f in flights:
-            value, std = rounded(r["flights"][f]["value"], r["flights"][f]["std"]) if f in r["flights"] else ("", "")
-            row.append(f"{value} \N{PLUS-MINUS SIGN} {std}" if value else "")
-        cells.append([*row, r["unit"], p_value(r["p_value"]), Tag(text="differs") if r["differs"] else "agrees"])
-    report.table(
-        ["parameter", *flights, "unit", "p", ""], cells, numeric=tuple(range(1, len(flights) + 1)),
-        caption="Each training flight alone. p: how likely flights with one true value differ as much (Cochran's Q).",
-    )  # fmt: skip

@@ -145,14 +145,17 @@ def power_lines(rows: Sequence[Row]) -> list[str]:
     out = []
     for flights in sorted({r["flights"] for r in _of(rows, "power")}):
         some = [r for r in _of(rows, "power") if r["flights"] == flights]
-        told = [
-            max((r["log10_e"].get(n, 0.0) for n in r["hidden"]), default=0.0)
-            for r in some
-            if r.get("log10_e")
-        ]
+        told = [true_evidence(r) for r in some if r.get("largest_log10_e") is not None]
         level = f"; log10 E of the true cause {median(told):.1f} (median)" if told else ""
         out.append(f"power, {flights} flights: named {_count(some, _good)}{level}")
     return out
+
+
+def true_evidence(row: Row) -> float:
+    """log10 of the largest e-value of a hidden cause or a set that holds one; 0 where none was put
+    to a test."""
+    hidden = set(row["hidden"])
+    return max((e for n, e in row["log10_e"].items() if set(n.split("|")) & hidden), default=0.0)
 
 
 def time_lines(rows: Sequence[Row]) -> list[str]:

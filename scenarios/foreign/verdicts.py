@@ -11,7 +11,7 @@ it stands in `traces`. Per log:
     extra    all that is hidden, and something that is not
     wrong    something that is not hidden, and not all that is
     refused  bad data
-    failed   no result
+    failed   no result, or one that says it was stopped
 
 Clean flights: right is any answer without a name. Outside the catalogue: right is an unnamed cause
 on an axis that the effect acts on, or a name of its family; `elsewhere` an unnamed cause on other
@@ -39,8 +39,9 @@ class Said:
     """A discovery.json in short.
 
     effects: name -> parameter -> value, of what is named; sets: every set as its candidates, a
-    candidate as the effects that it joins; evidence: cause -> log10 of its e-value, of all causes
-    that were tried; base: effects that the search's base model estimates by itself.
+    candidate as the effects that it joins; evidence: cause (or set, joined by "|") -> log10 of its
+    e-value, of all that were put to a test; tests: whether the search has e-values at all; base:
+    effects that the search's base model estimates by itself.
     """
 
     verdict: str
@@ -52,6 +53,7 @@ class Said:
     base: Sequence[str] = ()
     faults: Sequence[str] = ()
     evidence: Mapping[str, float] = field(default_factory=dict)
+    tests: bool = False
     closed: float | None = None
 
     @classmethod
@@ -84,6 +86,7 @@ class Said:
             base=[_name(b) for b in content.get("base", ())],
             faults=list(content.get("faults", ())),
             evidence=_evidence(content),
+            tests="bar_log10_e" in content or "candidates" in content,
             closed=_closed(content.get("gap", ())),
         )
 
@@ -99,8 +102,11 @@ class Said:
 
     @property
     def largest(self) -> float | None:
-        """log10 of the largest e-value of any cause that was tried; None where none is told."""
-        return max(self.evidence.values(), default=None)
+        """log10 of the largest e-value of anything that was put to a test, 0 where nothing was; None
+        for a search without e-values."""
+        if not self.tests and not self.evidence:
+            return None
+        return max(self.evidence.values(), default=0.0)
 
 
 def _name(entry: Any) -> str:
@@ -118,11 +124,14 @@ def _evidence(content: Mapping[str, Any]) -> dict[str, float]:
         *content.get("candidates", ()),
         *content["effects"],
         *content.get("traces", ()),
+        *content.get("not_certified", ()),
+        *content["ambiguous"],
     )
     for entry in entries:
         value = entry.get("log10_e") if isinstance(entry, Mapping) else None
         if value is not None and math.isfinite(value):
-            found[entry["name"]] = max(float(value), found.get(entry["name"], -math.inf))
+            name = entry.get("name") or "|".join(c["name"] for c in entry["candidates"])
+            found[name] = max(float(value), found.get(name, -math.inf))
     return found
 
 
@@ -141,7 +150,7 @@ def judge(said: Said | None, hidden: Sequence[str], true: Sequence[str] = ()) ->
 
     true: names that may but need not be said, because the sensors are so.
     """
-    if said is None:
+    if said is None or said.verdict == "stopped":
         return "failed"
     if said.verdict == "bad_data":
         return "refused"
@@ -162,7 +171,7 @@ def judge_outside(
     said: Said | None, axes: Sequence[str], family: Sequence[str], true: Sequence[str] = ()
 ) -> str:
     """The same for an effect outside the catalogue that acts on `axes`."""
-    if said is None:
+    if said is None or said.verdict == "stopped":
         return "failed"
     if said.verdict == "bad_data":
         return "refused"

@@ -18,9 +18,9 @@ import numpy as np
 
 import scenarios.plants.effects as hidden
 from greybox.data import Dataset, dataset_from_arrays
-from greybox.discovery.candidates import candidates
+from greybox.discovery.cause import offer
 from greybox.discovery.differences import widened
-from greybox.discovery.nested import Nest
+from greybox.discovery.evidence import Flights
 from greybox.model.vehicle import Vehicle, read_vehicle
 from scenarios.excitation.circle import Circle
 from scenarios.excitation.figure_eight import FigureEight
@@ -187,9 +187,10 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
     plant = MAKERS[vehicle]()
     data = flights(plant, (101,), seconds, "size")
     said = nominal(plant, "exact", 0)
-    offered = candidates(said, data.channels, sample_time=0.01)
-    at = Nest(candidates=offered, data=data).refit(())
-    wide, theta = widened(at.fit.problem, at.fit.theta, offered.model, data, offered.null)
+    causes = offer(said, data.channels, sample_time=0.01)
+    at = Flights(causes=causes, data=data).fit(())
+    null = {p: m for c in causes.offered.values() for p, (m, _) in c.prior.items()}
+    wide, theta = widened(at.problem, at.theta, causes.built(causes.effects), data, null)
     value = wide.evaluate(theta)
     assert value.hessian is not None
     places: dict[str, list[int]] = {}
@@ -198,7 +199,7 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
     samples = sum(r.n for r in wide.records)
     out = {}
     for name, effects in cases(plant.airframe).items():
-        if not effects or name not in offered.names:
+        if not effects or name not in causes.offered:
             continue
         direction = np.zeros(wide.n)
         for key, v in effects[0].parameters().items():

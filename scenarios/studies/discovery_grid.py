@@ -9,7 +9,7 @@ line when it is done, so that a study that was stopped goes on where it was. See
 in the documentation come from seeds from 1000 on, on which nothing was tuned. Verdicts per case:
 
     right      the hidden effects, and nothing else, have names
-    group      every hidden effect has its name or stands in a group of candidates within BIC 10, and no name is false
+    group      every hidden effect has its name or stands in a set of look-alikes, and no name is false
     part       some of several hidden effects are named, the others are not, and no name is false
     silent     no name at all
     extra      the hidden effects have their names, and so has something that is not there
@@ -61,8 +61,10 @@ CHUNK = 24
 
 def judge(found: Discovery, truth: Sequence[str]) -> str:
     """One of the verdicts above."""
-    names = {e["name"] for e in found.effects()} if found.fit is not None else set()
-    groups = [{n for c in a.rivals for n in c.split("+")} for a in found.additions if a.rivals]
+    if found.fit is None:
+        return "silent" if truth or found.verdict != "nothing_missing" else "right"
+    names = {e["name"] for e in found.effects()}
+    groups = [{n for c in a["candidates"] for n in c["name"].split("+")} for a in found.ambiguous()]
     wanted = set(truth)
     if names - wanted:
         return "extra" if wanted and wanted <= names else "wrong"
@@ -91,11 +93,10 @@ def run(cell: Cell, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
         except GreyboxError as error:
             row |= {"judged": "failed", "error": str(error)}
         else:
-            if cell.hidden and found.final is not None:
-                groups = [list(a.rivals) for a in found.additions if a.rivals]
-                with contextlib.suppress(GreyboxError):  # an oracle that fails says nothing of the search
-                    lasting = ("force", "torque") if cell.noise == "gusts" else ()
-                    row["oracle"] = oracle(said, train, test, row["truth"], found.final, groups, lasting)
+            if cell.hidden and found.fit is not None:
+                groups = [[c["name"] for c in a["candidates"]] for a in found.ambiguous()]
+                with contextlib.suppress(GreyboxError):  # a failed oracle says nothing of the search
+                    row["oracle"] = oracle(said, train, test, row["truth"], found.fit, groups)
         yield row
 
 
@@ -105,18 +106,27 @@ def _outcome(found: Discovery, truth: Sequence[str]) -> dict[str, Any]:
     gaps = [r for r in content["gap"] if r["horizon_s"] == 0.5 and r["closed"] is not None]
     most = max(gaps, key=lambda r: r["before"] ** 2 / max(r["floor"] or 0.0, 0.1 * r["before"]) ** 2, default=None)
     return {
-        "judged": judge(found, truth), "verdict": found.verdict,
-        "effects": {e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()} for e in content["effects"]},
-        "p_values": [e["p_value"] for e in content["effects"]],
-        "delta_bic": [e["delta_bic"] for e in content["effects"]],
-        "rivals": [e["delta_bic_rival"] for e in content["effects"]],
-        "ambiguous": [{c["name"]: c["weight"] for c in a["candidates"]} for a in content["ambiguous"]],
-        "unnamed": [[u["channel"], u["proposal"]] for u in content["unnamed"]], "deficiency": content["deficiency"],
-        "withheld": content.get("withheld", []), "smallest_p": min((s.p_family for s in found.last_scores), default=1.0),
-        "not_judged": {n: why for n, why in content["not_judged"].items() if n in truth}, "faults": content["faults"],
-        "warnings": content["warnings"], "closed": None if most is None else [most["group"], most["closed"], *most["ci95"]],
+        "judged": judge(found, truth),
+        "verdict": found.verdict,
+        "effects": {
+            e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()}
+            for e in content["effects"]
+        },
+        "log10_e": {n.name: n.to_dict()["log10_e"] for n in found.names},
+        "offered": len(content["minimum_detectable"]) + len(found.names),
+        "status": {n.name: n.status for n in found.names},
+        "worth": {n.name: n.worth.share for n in found.names if n.worth is not None},
+        "ambiguous": [
+            {c["name"]: c["weight"] for c in a["candidates"]} for a in content["ambiguous"]
+        ],
+        "traces": [t["name"] for t in content["traces"]],
+        "unnamed": [[u["channel"], u["proposal"]] for u in content["unnamed"]],
+        "not_judged": {n: why for n, why in content["not_judged"].items() if n in truth},
+        "faults": content["faults"],
+        "warnings": content["warnings"],
+        "closed": None if most is None else [most["group"], most["closed"], *most["ci95"]],
         "took": found.seconds,
-    }  # fmt: skip
+    }
 
 
 def planned(options: argparse.Namespace) -> list[Cell]:

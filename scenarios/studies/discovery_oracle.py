@@ -1,23 +1,26 @@
-"""What a search could have found at best: the model that is told the hidden effects, on the same flights.
+"""What a search could have found at best: the structure that is told the hidden effects, on the same
+flights.
 
-A silent search is to blame only where the oracle's BIC is better than that of the model without the effects, a group only
-where its other members are far behind the oracle, and a gap that did not close only where the oracle closes it. BIC is
-that of Schwarz 1978, as everywhere in greybox.discovery.
+A silent search is to blame only where the oracle is certified, a set only where its other members
+are beaten by the oracle, and a gap that did not close only where the oracle closes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from greybox.data import Dataset
-from greybox.discovery.candidates import candidates
-from greybox.discovery.carried import with_states
-from greybox.discovery.gap import NOTHING
+from greybox.discovery.cause import offer
+from greybox.discovery.certificate import certificates, splits
+from greybox.discovery.evidence import Fitted, Flights
+from greybox.discovery.gap import NOTHING, Foresight, foresee
 from greybox.discovery.lead import led
-from greybox.discovery.nested import Nest, NestedFit
-from greybox.discovery.veto import HeldOut
+from greybox.discovery.name import LOG10
+from greybox.discovery.search import Rival
+from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
 from greybox.model.vehicle import Vehicle
 
@@ -26,58 +29,69 @@ AHEAD = 0.5
 
 
 def oracle(
-    vehicle: Vehicle, train: Dataset, test: Dataset, truth: Mapping[str, float], final: NestedFit,
-    groups: Iterable[Sequence[str]] = (), lasting: Sequence[str] = (),
-) -> dict[str, Any]:  # fmt: skip
-    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with; `groups`: the rivals of
-    every group that it left, a or a+b each; `lasting`: "force", "torque" where the plant's gusts are, which the oracle
-    knows.
+    vehicle: Vehicle,
+    train: Dataset,
+    test: Dataset,
+    truth: Mapping[str, float],
+    final: Fit,
+    groups: Iterable[Sequence[str]] = (),
+) -> dict[str, Any]:
+    """Plain values. `truth`: full parameter name -> true value; `final`: what the search ended with;
+    `groups`: the sets that it left, a or a+b each.
 
-    gain      BIC without any addition less that of the oracle; None where an effect cannot be judged with these columns
-    rivals    rival -> BIC with it in place of its group's effects, less the oracle's
-    affected  the group whose error half a second ahead the oracle shrinks most, None where it shrinks none
+    log10_e   hidden effect -> log10 e of the oracle against the structure without it
+    gain      log evidence of the oracle less that of the base; None where an effect cannot be judged
+    rivals    rival -> log evidence with it in place of its set's effects, less the oracle's
+    affected  the group whose error half a second ahead the oracle shrinks most, None: none
     closed    share of that shrinkage that the search achieved
     """
-    offered = candidates(vehicle, train.channels, sample_time=sample_time(train), noncausal=train.noncausal)
+    causes = offer(
+        vehicle, train.channels, sample_time=sample_time(train), noncausal=train.noncausal
+    )
     names = tuple(dict.fromkeys(n.split(".")[0] for n in truth))
-    if not set(names) <= set(offered.names):
-        return {"gain": None, "rivals": {}, "affected": None, "closed": None}
-    nest = Nest(candidates=offered, data=led(train))
-    if lasting:
-        nest = with_states(nest, lasting)
-    null = nest.refit(())
-    task = nest.task(names, start=null, first={(n, None): v for n, v in truth.items()})
-    if set(names) & set(offered.moving):
-        # The truth is far from the noise levels of the null model, from where fits without a velocity may go astray.
-        typical = nest.task(names, start=null, first=nest.typical(names))
-        task = nest.from_each(replace(task, starts=(*task.starts, *typical.starts)))
-    told = nest.settle(nest.refits([task])[0])
-    others: dict[str, NestedFit] = {}
+    if not set(names) <= set(causes.offered):
+        return {"log10_e": {}, "gain": None, "rivals": {}, "affected": None, "closed": None}
+    flights = Flights(causes=causes, data=led(train))
+    null = flights.fit(())
+    told = flights.fit(names, [{**null.known, **{(n, None): v for n, v in truth.items()}}])
+    without = {
+        n: [Rival(instead=(), share=0.0, fitted=flights.fit(set(names) - {n}, [told.known]))]
+        for n in names
+    }
+    certified = certificates(told, without, splits(flights, led(test)), np.inf)
+    others: dict[str, Fitted] = {}
     for group in groups:
         kept = [n for n in names if n not in {m for r in group for m in r.split("+")}]
         for rival in group:
-            chosen = tuple(dict.fromkeys((*kept, *rival.split("+"))))
-            # A rival that nothing can show here stands in its group for what it would look like.
-            if set(chosen) != set(names) and set(chosen) <= set(offered.names):
-                fits = [nest.refit(chosen, start=null, also=told)]
-                fits += [nest.unled(chosen, null)] if set(chosen) & set(offered.moving) else []
-                others[rival] = min(fits, key=lambda f: f.bic)
-    affected, closed = _closed(HeldOut(test), null, told, final)
+            chosen = frozenset((*kept, *rival.split("+")))
+            if chosen != set(names) and chosen <= set(causes.offered):
+                others[rival] = flights.fit(chosen, [told.known, null.known])
+    affected, closed = _closed(test, flights.settled(null), flights.settled(told), final)
     return {
-        "gain": null.bic - told.bic, "rivals": {r: f.bic - told.bic for r, f in others.items()}, "affected": affected,
+        "log10_e": {n: c.log_e / LOG10 for n, c in certified.items()},
+        "gain": told.log_evidence - null.log_evidence,
+        "rivals": {r: f.log_evidence - told.log_evidence for r, f in others.items()},
+        "affected": affected,
         "closed": closed,
-    }  # fmt: skip
+    }
 
 
-def ahead(judge: HeldOut, fitted: NestedFit) -> dict[str, float]:
+def ahead(seen: Foresight) -> dict[str, float]:
     """Group -> RMSE half a second ahead."""
-    return {r["group"]: r["rmse"] for r in judge.errors(fitted) if r["horizon_s"] == AHEAD}
+    out = {}
+    for (group, horizon), blocks in seen.own.items():
+        if horizon == AHEAD and any(b.size for b in blocks):
+            out[group] = float(np.sqrt(np.concatenate(blocks).mean()))
+    return out
 
 
-def _closed(judge: HeldOut, null: NestedFit, told: NestedFit, final: NestedFit) -> tuple[str | None, float | None]:
-    before, best, own = (ahead(judge, f) for f in (null, told, final))
+def _closed(
+    test: Dataset, null: Fit, told: Fit, final: Fit
+) -> tuple[str | None, float | None]:
+    before, best, own = (ahead(foresee(f.model, test)) for f in (null, told, final))
     shared = [g for g in before if best.get(g) and g in own]
     group = max(shared, key=lambda g: before[g] / best[g], default=None)
     if group is None or before[group] ** 2 < NOTHING * best[group] ** 2:
         return None, None
-    return group, (before[group] ** 2 - own[group] ** 2) / (before[group] ** 2 - best[group] ** 2)
+    gained = before[group] ** 2 - own[group] ** 2
+    return group, gained / (before[group] ** 2 - best[group] ** 2)

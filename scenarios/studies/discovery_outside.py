@@ -32,12 +32,11 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.candidates import candidates
-from greybox.discovery.gap import NOTHING, squares
+from greybox.discovery.cause import offer
+from greybox.discovery.evidence import Flights
+from greybox.discovery.gap import NOTHING, foresee
 from greybox.discovery.lead import led
-from greybox.discovery.nested import Nest
 from greybox.discovery.result import Discovery
-from greybox.discovery.veto import HeldOut
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
 from greybox.files import append_json_line
@@ -105,8 +104,9 @@ def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
     """Group -> RMSE half a second ahead of the vehicle without any effect, fitted to and judged on flights of the seed."""
     first = 1000 * seed
     train, test = (flights(x250(), [first + k for k in ks], seconds, name) for ks, name in (((1, 2), "a"), ((101,), "b")))
-    nest = Nest(candidates=candidates(vehicle_of(x250()), train.channels, sample_time=0.01), data=led(train))
-    return ahead(HeldOut(test), nest.refit(()))
+    causes = offer(vehicle_of(x250()), train.channels, sample_time=0.01)
+    searched = Flights(causes=causes, data=led(train))
+    return ahead(foresee(searched.settled(searched.fit(causes.base)).model, test))
 
 
 def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[
 
     try:
         result = learn(found.lawful or found.model, train, place=True, seed=seed)
-        errors = squares(result.model, test)[0]
+        errors = foresee(result.model, test).own
     except GreyboxError as error:  # what was searched for minutes is kept
         return {"rmse": {}, "chosen": None, "error": str(error)}
     rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}
@@ -151,11 +151,11 @@ def judge(found: Discovery, case: Case) -> dict[str, Any]:
     half = [r for r in content["gap"] if r["horizon_s"] == AHEAD]
     return {
         "verdict": found.verdict, "names": names,
-        "steps": [[s["added"], s["delta_bic"]] for s in content["steps"]],
+        "traces": [t["name"] for t in content["traces"]],
         "wrong": [n for n in names if n not in case.family],
         "ambiguous": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
-        "withheld": content.get("withheld", []), "flagged": flagged, "right_axis": any(a in case.axes for a in flagged),
-        "deficiency": content["deficiency"], "unnamed": content["unnamed"], "gap": half,
+        "flagged": flagged, "right_axis": any(a in case.axes for a in flagged),
+        "unnamed": content["unnamed"], "gap": half,
         "seconds": found.seconds, "warnings": content["warnings"],
     }  # fmt: skip
 

@@ -12,7 +12,6 @@ noise on the attitude kinematics, and sensors' levels held at the vehicle file's
 ARPL. log15 alone, IMU and commands on one clock, trims and biases known to be there: `--seconds` of the first half searched,
 the second half judged.
 
-After every step the errors 1, 10 and 50 samples ahead on the test flights are printed.
 """
 
 from __future__ import annotations
@@ -86,24 +85,6 @@ def arpl(seconds: float, every: int = 1, **options: Any) -> Discovery:
 SETS = {"nanobench": nanobench, "arpl": arpl}
 
 
-def head_of(e: Mapping[str, Any]) -> str:
-    """Group and horizon of a column; h = 1 is one sample."""
-    return f"{e['group'][:8]} {e['horizon_s'] or 0.01:g} s"
-
-
-def ladder(found: Discovery) -> str:
-    """Errors ahead on the test flights before any addition and after each of them."""
-    lines: list[str] = []
-    for row in found.to_dict()["held_out_errors"]:
-        errors = [e for e in row["errors"] if e["horizon_s"] in HORIZONS]
-        if not lines:
-            lines.append(f"{'model':34s}" + "".join(f"{head_of(e):>17s}" for e in errors))
-        start = "what is left carried along" if row["carried"] else "bare core"
-        label = "+ " + " and ".join(row["added"]) if row["added"] else start
-        lines.append(f"{label:34s}" + "".join(f"{e['rmse']:17.4f}" for e in errors))
-    return "\n".join(lines)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Search, print the steps; with --out also write discovery.json and report.html."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -117,15 +98,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def say(text: str, share: float) -> None:
         print(f"  {100 * share:3.0f} % {text}", flush=True)
 
-    def steps(now: Discovery) -> None:
-        for a in now.additions[-1:]:
-            print(f"  {' and '.join(a.effects)}: BIC {a.delta_bic:.0f}, rivals {a.rivals or a.delta_bic_rival}")
-        print(ladder(now), flush=True)
-
-    found = SETS[options.set](options.seconds, options.every, max_effects=options.max_effects, progress=say, save=steps)
+    found = SETS[options.set](options.seconds, options.every, max_effects=options.max_effects, progress=say)
     print(found.summary())
-    print(ladder(found))
-    names = [n for a in found.additions for n in a.effects]
+    names = [e["name"] for e in found.effects()]
     print("found by hand and found here:", ", ".join(n for n in FOUND_BY_HAND if n in names) or "none")
     print("adds nothing there and named:", ", ".join(n for n in ADDS_NOTHING if n in names) or "none")
     print(f"{found.seconds:.0f} s")

@@ -82,8 +82,7 @@ def run(vehicle: str, ingredients: str, effect: str, seed: int, seconds: float =
     row = {
         "vehicle": vehicle, "ingredients": ingredients, "effect": effect, "seed": seed, "verdict": found.verdict,
         "effects": {e["name"]: {n: [p["value"], p["std"]] for n, p in e["parameters"].items()} for e in content["effects"]},
-        "p_value": {e["name"]: e["p_value"] for e in content["effects"]},
-        "delta_bic": {e["name"]: e["delta_bic"] for e in content["effects"]},
+        "log10_e": {e["name"]: e["log10_e"] for e in content["effects"]},
         "groups": [[c["name"] for c in a["candidates"]] for a in content["ambiguous"]],
         "alternatives": {e["name"]: e["alternatives"] for e in content["effects"] if e["alternatives"]},
         "truth": {k: float(v) for e in plant.effects for k, v in e.parameters().items()},

@@ -11,7 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-import greybox.discovery.candidates
+import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
 from greybox.commands.discover import set_aside
@@ -61,12 +61,12 @@ def valid(path: Path) -> dict[str, Any]:
 def test_an_own_effect_is_named_and_everything_is_written(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     arguments = command(files, "--train", "a.csv", "b.csv", "--test", "c.csv", "--effects-file", "friction.py")
     assert main([*arguments, "--out", str(tmp_path), "--json", str(tmp_path / "again.json"), "--max-effects", "2"]) == 0
     said = capsys.readouterr()
-    assert "added friction" in said.err
-    assert "friction: d_p" in said.out
+    assert "step 2: friction" in said.err
+    assert said.out.startswith("MISSING: friction (d_p")
     content = valid(tmp_path / "discovery.json")
     assert content == json.loads((tmp_path / "again.json").read_text())
     assert content["verdict"] == "named"
@@ -79,7 +79,7 @@ def test_an_own_effect_is_named_and_everything_is_written(
     assert model.effects == ("friction",)
     assert model.values["friction.d_p"] == pytest.approx(content["effects"][0]["parameters"]["d_p"]["value"])
     page = (tmp_path / "report.html").read_text()
-    for text in ("friction", "Where simulation and data disagree", "Which effect it is", "How far the gap closed"):
+    for text in ("friction", "What has a name", "Where simulation and data disagree", "How far the gap closed"):
         assert text in page
 
 
@@ -87,7 +87,7 @@ def test_laws_come_with_a_model_that_has_them(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     """Of a search with nothing to name: the model loads with the files beside it, and other commands take both."""
-    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
+    monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     out = tmp_path / "found"
     assert main([*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]) == 0
     said = capsys.readouterr().out
@@ -148,12 +148,13 @@ def test_an_interruption_keeps_what_was_found(
     def stop(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(greybox.discovery.candidates, "CATALOGUE", ())
-    monkeypatch.setattr(greybox.discovery.workflow, "promote", stop)
+    monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
+    monkeypatch.setattr(greybox.discovery.workflow, "certificates", stop)
     arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path))
     assert main(arguments) == 130
     content = valid(tmp_path / "discovery.json")
-    assert [e["name"] for e in content["effects"]] == ["friction"]
+    assert content["verdict"] == "stopped"
+    assert content["effects"] == []  # nothing is judged yet
     assert "stopped before its end" in content["warnings"][0]
     model = IdentifiedModel.load(tmp_path / "model.json", effects=load_effects(files / "friction.py"))
     assert np.isfinite(model.values["friction.d_p"])

@@ -6,9 +6,10 @@ import functools
 
 import pytest
 
-import greybox.discovery.candidates
+import greybox.discovery.cause
 from greybox.data import Dataset
-from greybox.discovery.nested import Nest
+from greybox.discovery.cause import offer
+from greybox.discovery.evidence import Flights
 from greybox.model.effects import CATALOGUE
 from greybox.model.vehicle import Vehicle
 from scenarios.plants.effects import PlantEffect, RotationalDamping
@@ -23,7 +24,7 @@ DAMPING = RotationalDamping(d_p=4e-3, d_q=4e-3, d_r=4e-3)
 def shorten(patch: pytest.MonkeyPatch, *more: str) -> None:
     """Leave a few effects in the catalogue, and `more`."""
     some = tuple(e for e in CATALOGUE if e.name in (*SHORT, *more))
-    patch.setattr(greybox.discovery.candidates, "CATALOGUE", some)
+    patch.setattr(greybox.discovery.cause, "CATALOGUE", some)
 
 
 def plant(*effects: PlantEffect) -> Quadrotor:
@@ -43,10 +44,9 @@ def flown(*effects: PlantEffect, seeds: tuple[int, ...] = (1, 2), name: str = "t
     return discovery_grid.flights(plant(*effects), seeds, seconds, name)
 
 
-def damped() -> Nest:
-    """The short catalogue before its first fit, on flights of a plant with hidden damping."""
+def damped() -> Flights:
+    """The short catalogue on flights of a plant with hidden damping, nothing fitted yet."""
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
         data = flown(DAMPING)
-        offered = greybox.discovery.candidates.candidates(vehicle(), data.channels, sample_time=0.01)
-    return Nest(candidates=offered, data=data)
+        return Flights(causes=offer(vehicle(), data.channels, sample_time=0.01), data=data)

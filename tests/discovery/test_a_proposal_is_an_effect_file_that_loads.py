@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.discovery.leftover import Leftover
+from greybox.discovery.law import Axis
 from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.terms import Term, terms, wanted_features
 from greybox.model.effect import Flow
@@ -37,9 +37,10 @@ def every(channel: str) -> list[Term]:
     return terms(channel, NAMES, features(), vehicle())
 
 
-def law(channel: str, *picked: Term) -> Leftover:
-    return Leftover(
-        channel=channel, unit="N", rms=1.0, share=0.9, terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
+def law(channel: str, *picked: Term) -> Axis:
+    return Axis(
+        channel=channel, unit="N", rms=1.0, gain=100.0, lasts=1.0, needed=True, share=0.9,
+        terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(), codes=tuple(t.code for t in picked),
     )  # fmt: skip
 

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
-import greybox as gb
-from greybox.discovery.candidates import candidates
-from greybox.discovery.gap import squares
 from greybox.discovery.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
-from greybox.discovery.leftover import Leftover, promote
-from greybox.discovery.nested import Nest
+from greybox.discovery.law import Axis
 from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.terms import Memory, Term
-from greybox.discovery.written import joined, looked_again, with_proposals
+from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
 from scenarios.plants.outside import RelaxingDrag, SloshingMass
 from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights
-from tests.discovery.small_world import vehicle
+from tests.discovery.small_world import shorten, vehicle
 
 NAMES = (*(f"body_velocity.{a}" for a in "xyz"), *"pqr", *(f"attitude.{a}" for a in "wxyz"), "u1", "u2", "u3", "u4")
 DT = 0.01
@@ -43,9 +38,10 @@ def every(z: np.ndarray, *parts: slice) -> list[Term]:
     return remembered_terms(NAMES, z, vehicle(), parts or [slice(0, len(z))], DT)
 
 
-def law(channel: str, *picked: Term) -> Leftover:
-    return Leftover(
-        channel=channel, unit="N", rms=1.0, share=0.9, terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
+def law(channel: str, *picked: Term) -> Axis:
+    return Axis(
+        channel=channel, unit="N", rms=1.0, gain=100.0, lasts=1.0, needed=True, share=0.9,
+        terms={t.text: 0.5 * (i + 1) for i, t in enumerate(picked)},
         depends_on=(), codes=tuple(t.code for t in picked),
         memories=tuple(None if t.memory is None else (t.memory, 0.3) for t in picked),
     )  # fmt: skip
@@ -110,51 +106,19 @@ def test_terms_with_and_without_a_memory_share_a_file():
     assert len(effect.memory(vehicle())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [RelaxingDrag(k=0.25), SloshingMass(mass=0.03)], ids=lambda e: e.name)
-def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(hidden: RelaxingDrag | SloshingMass):
+def test_the_law_of_a_hidden_state_is_found_and_closes_the_gap(
+    hidden: RelaxingDrag | SloshingMass, monkeypatch: pytest.MonkeyPatch
+):
+    shorten(monkeypatch)
     train, test = (flights(x250([hidden]), seeds, 10.0, "log") for seeds in ((51, 52), (53,)))
-    model = build_model(vehicle(), train.channels, sample_time=DT)
-    core = [d.name for d in model.parameters if d.sigma > 0]
-    bare = gb.fit(model, train, free=core, initialisation="nominal")
-    left = promote(bare, train)
-    assert any(m is not None for a in left.laws for m in a.memories)
-    written, seen = with_proposals(bare, left, train), looked_again(bare, left, train)
-    again, longer = seen.leftover, seen.written
-    assert seen.first is left
-    assert written is not None
-    assert longer is not None
-    assert longer.bic <= written.bic
-    assert sum(len(a.terms) for a in again.laws) >= sum(len(a.terms) for a in left.laws)
-    ahead = [np.concatenate(squares(f.model, test)[0][("velocity", 0.5)]).mean() for f in (bare, longer)]
-    assert ahead[1] < 0.2 * ahead[0]
-    for a in again.laws:  # what is written are the refit's numbers
-        values = longer.parameters
-        own = f"proposal_{a.channel.replace('.', '_')}"
-        assert list(a.terms.values()) == [values[f"{own}.c_{i}"].value for i in range(1, len(a.terms) + 1)]
-        for i, (text, m) in enumerate(zip(a.terms, a.memories, strict=True), 1):
-            assert m is None or m[0].time == values[f"{own}.time_{i}"].value
-            assert m is None or text.endswith(f"({m[0]})")
-
-
-def test_terms_of_a_second_look_join_those_of_the_first():
-    z = features()
-    lag, swing = every(z)[0], every(z)[5]
-    plain = Term(text="p", code="flow.omega[0]", uses=("p",), values=z[:, 3])
-    both = joined(law("force.x", plain, lag), [law("force.y", swing), law("force.x", lag, swing)])
-    assert list(both.terms) == ["p", lag.text, swing.text]
-    assert both.terms[lag.text] == 1.0  # as the first look has it
-    assert both.codes == (plain.code, lag.code, swing.code)
-    assert [m is None for m in both.memories] == [True, False, False]
-    assert both.share == pytest.approx(0.99)
-    assert joined(law("force.z", plain), [law("force.y", swing)]).terms == {"p": 0.5}
-    # Another time of a known lag is the same term, and what was too little for a law does not join one.
-    slower = every(z)[1]
-    assert slower.code == lag.code
-    assert list(joined(law("force.x", lag), [law("force.x", slower, swing)]).terms) == [lag.text, swing.text]
-    weak = replace(law("force.x", plain), share=0.1)
-    again = joined(weak, [law("force.x", swing)])
-    assert list(again.terms) == [swing.text]
-    assert again.share == 0.9
+    found = discover(vehicle(), train, test)
+    assert found.left is not None
+    assert any(m is not None for a in found.left.laws for m in a.memories)
+    row = next(r for r in found.gap if r.group == "velocity" and r.horizon_s == 0.5)
+    assert row.with_proposals is not None
+    assert row.with_proposals > 0.6
 
 
 def test_a_proposal_next_to_an_earlier_one_has_a_name_of_its_own():
@@ -163,17 +127,3 @@ def test_a_proposal_next_to_an_earlier_one_has_a_name_of_its_own():
     (later,) = proposed([law("force.x", every(z)[1])], [e.name for e in earlier])
     assert [e.name for e in (*earlier, later)] == ["proposal_force_x", "further_proposal_force_x"]
     assert len(build_model(vehicle(), ("p", "q", "r", "ax", "ay", "az"), [*earlier, later]).effects) == 2
-
-
-def test_what_is_not_felt_without_the_effect_takes_no_part_in_its_test():
-    """A time constant does nothing at the null of its coefficient: not a direction of the test, and no size to be seen."""
-    data = flights(x250([RelaxingDrag(k=0.25)]), (51, 52), 4.0, "log")
-    slow = Term(text="v", code="flow.velocity[0]", uses=("v",), values=np.ones(3), memory=Memory(time=1.0))
-    offered = candidates(vehicle(), data.channels, own=proposed([law("force.x", slow)]), sample_time=DT)
-    nest = Nest(candidates=offered, data=data)
-    null = nest.refit(())
-    (score,) = [s for s in nest.screen(null) if s.name == "proposal_force_x"]
-    assert score.dof == 1
-    assert {n for n, _ in score.estimate} == {"proposal_force_x.c_1"}
-    found = nest.refit(("proposal_force_x",), start=null, first=score.estimate)
-    assert found.fit.parameters["proposal_force_x.time_1"].value == pytest.approx(0.3, abs=0.1)

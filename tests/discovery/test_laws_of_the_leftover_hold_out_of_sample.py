@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.discovery.candidates import candidates
-from greybox.discovery.leftover import NO_LAW, SHARE, Leftover, laws_of
-from greybox.discovery.nested import Nest
+from greybox.discovery.law import Axis
+from greybox.discovery.left import laws_of
 from greybox.discovery.responses import Library, Normal, responses, stretches
+from greybox.discovery.rules import RULES
 from greybox.discovery.selection import forward, left_out, select, solve
 from greybox.discovery.terms import terms
 from greybox.estimation.filtering import Filter
+from greybox.estimation.fit import fit
 from greybox.estimation.gain import Linearisation
 from greybox.frames import numeric
+from greybox.model.model import build_model
 from tests.discovery.small_world import flown, vehicle
 
 NAMES = (
@@ -36,7 +38,7 @@ def signals(n: int = 400, seed: int = 0) -> tuple[np.ndarray, tuple[str, ...]]:
     return z, ("a",) * (n // 2) + ("b",) * (n - n // 2)
 
 
-def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -> Leftover:
+def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -> Axis:
     """The law of a torque that is seen as it is, in noise of its own size."""
     columns = [("torque.z", t) for t in terms("torque.z", NAMES, z, vehicle())]
     x = np.column_stack([t.values for _, t in columns])
@@ -53,7 +55,9 @@ def law(y: np.ndarray, z: np.ndarray, flights: tuple[str, ...], seed: int = 0) -
     offered = Library(columns=columns, innovations=seen, smoothed={"torque.z": whole})
     found = laws_of(offered, len(y), seed, ("thrust.c2", "torque.c2"))
     rms = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-    return Leftover(channel="torque.z", unit="N m", rms=rms, **found.get("torque.z", NO_LAW))
+    return Axis(
+        channel="torque.z", unit="N m", rms=rms, gain=100.0, lasts=1.0, needed=True, **found.get("torque.z", {})
+    )
 
 
 def column(z: np.ndarray, name: str) -> np.ndarray:
@@ -89,7 +93,7 @@ def test_noise_has_no_law(colour: int):
         z, flights = signals(seed=seed)
         white = np.random.default_rng(500 + seed).standard_normal(len(z) + colour)
         found = law(np.convolve(white, np.ones(colour), "valid")[: len(z)], z, flights, seed)
-        assert found.lawful == (bool(found.terms) and found.share >= SHARE)
+        assert found.lawful == (bool(found.terms) and found.share >= RULES.law)
         called += found.lawful
     assert called <= 1
 
@@ -172,8 +176,7 @@ def test_responses_are_what_a_force_does_to_the_innovations():
     """Against the filter itself, its model pushed by a small constant force."""
     data = flown(seconds=3.0)
     (segment,) = next(iter(data)).segments
-    nest = Nest(candidates=candidates(vehicle(), data.channels, sample_time=0.01), data=data)
-    model = nest.refit(("constant_force",)).fit.model
+    model = fit(build_model(vehicle(), data.channels, ["constant_force"]), data, initialisation="noise").model
     runner = Filter(model)
     p = model.flight_vector(segment.flight)
     moved = p.copy()

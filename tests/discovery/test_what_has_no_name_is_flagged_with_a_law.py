@@ -41,7 +41,7 @@ def test_the_verdict_is_unnamed_on_the_axes_that_the_magnet_turns(found: Discove
 
 
 def test_the_law_is_the_magnets(found: Discovery):
-    law = next(a for a in found.leftover.laws if a.channel == "torque.z") if found.leftover else None
+    law = next(a for a in found.left.laws if a.channel == "torque.z") if found.left else None
     assert law is not None
     assert law.terms.get("north.y", law.terms.get("east.x")) == pytest.approx(3e-3, rel=0.25)
 

@@ -15,11 +15,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data import Dataset, dataset_from_arrays
-from greybox.discovery.screen import Score, screen
-from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.fit import Fit, fit, noise_of
-from greybox.estimation.predictors.innovation import Innovation
-from greybox.estimation.problem import Problem, Value, make_problem
+from greybox.estimation.fit import Fit, fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, Layout, Signal
@@ -83,21 +79,3 @@ def record(seed: int, truth: Mapping[str, float] | None = None, n: int = 400, bu
 def null_fit(data: Dataset) -> Fit:
     """Fit of the core; every candidate at its null."""
     return fit(model(), data, free=CORE, values=NULL, build=EVERY, initialisation="noise")
-
-
-def evaluated(found: Fit, data: Dataset) -> tuple[Problem, Value]:
-    """The problem of all parameters, evaluated with block scores at the smaller model's estimate."""
-    problem = make_problem(
-        model(), data, predictor=Innovation(), criterion=Gaussian(), free=EVERY, build=EVERY,
-        values={**NULL, **{n: e.value for n, e in found.parameters.items()}}, noise=noise_of(found.model),
-    )  # fmt: skip
-    known = {(u.name, u.flight): t for u, t in zip(found.problem.unknowns, found.theta, strict=True)}
-    theta = np.array([known.get((u.name, u.flight), NULL.get(u.name, u.start)) for u in problem.unknowns])
-    return problem, problem.evaluate(theta, scores=BLOCK)
-
-
-def scores(seed: int, truth: Mapping[str, float] | None = None, **options: int) -> dict[str, Score]:
-    """Score tests of every candidate on one record."""
-    data = record(seed, truth)
-    problem, value = evaluated(null_fit(data), data)
-    return {s.name: s for s in screen(problem, value, GROUPS, **options)}

@@ -10,7 +10,7 @@ import pytest
 from craft import X250, function, model_of, vector, vehicle_of
 
 import greybox as gb
-from greybox.discovery.gap import squares
+from greybox.discovery.gap import foresee
 from greybox.errors import ModelError
 from greybox.model.effect import Effect, Remembered
 from greybox.model.effect_check import check_effect
@@ -184,5 +184,5 @@ def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
         estimate = found.parameters[name]
         assert abs(estimate.value - truth) < 4 * estimate.std < 0.1 * truth
     bare = gb.fit(replace(own, effects=()), train, free=("thrust.c2",), initialisation="nominal")
-    ahead = [np.concatenate(squares(f.model, test)[0][("position", 0.5)]).mean() for f in (bare, found)]
+    ahead = [np.concatenate(foresee(f.model, test).own[("position", 0.5)]).mean() for f in (bare, found)]
     assert ahead[1] < 0.25 * ahead[0]

@@ -20,10 +20,12 @@ from scenarios.studies.discovery_summary import confusion, false_names, recall, 
 
 
 def found(*names: str, groups: Sequence[tuple[str, ...]] = (), verdict: str = "named") -> Discovery:
-    additions = [SimpleNamespace(rivals=dict.fromkeys(g, 0.5)) for g in groups]
+    sets = [{"candidates": [{"name": n, "weight": 0.5} for n in g]} for g in groups]
     return cast(
         Discovery,
-        SimpleNamespace(fit=True, effects=lambda: [{"name": n} for n in names], additions=additions, verdict=verdict),
+        SimpleNamespace(
+            fit=True, effects=lambda: [{"name": n} for n in names], ambiguous=lambda: sets, verdict=verdict
+        ),
     )
 
 
@@ -72,13 +74,13 @@ def row(
     return {
         **cell.to_dict(), "kind": cell.kind, "seed": seed, "in_noise": 1.0 if hidden else None, "judged": judged,
         "effects": {n: {"k": [1.01, 0.02]} for n in names}, "truth": {f"{n}.k": 1.0 for n in hidden},
-        "p_values": [0.001] * len(names), "ambiguous": [], "unnamed": [], "closed": None, "took": 1.0,
+        "log10_e": dict.fromkeys(names, 5.0), "ambiguous": [], "unnamed": [], "closed": None, "took": 1.0,
         "verdict": "named", **more,
     }  # fmt: skip
 
 
-def test_a_false_name_on_clean_flights_counts_at_the_level_of_its_p_value():
-    wrong = row("wrong", names=["a"], p_values=[0.03])
+def test_a_false_name_on_clean_flights_counts_at_the_level_of_its_e_value():
+    wrong = row("wrong", names=["a"], log10_e={"a": 3.0})
     assert false_names(wrong, 0.05)
     assert not false_names(wrong, 0.01)
     assert not false_names(row("right"), 0.05)

@@ -54,7 +54,7 @@ def test_a_verdict_follows_from_names_and_sets(effects, sets, hidden, verdict):
 
 
 def test_no_result_and_bad_data_are_neither_right_nor_wrong():
-    assert judge(None, []) == "failed"
+    assert judge(None, []) == judge(Said.of(file(verdict="stopped")), []) == "failed"
     assert judge(Said.of(file(verdict="bad_data")), ["a"]) == "refused"
     with pytest.raises(ValueError, match="not a discovery"):
         Said.of({"schema": "greybox.fit/1"})
@@ -81,6 +81,11 @@ def test_a_name_that_looks_alike_is_a_set():
 def test_the_largest_evidence_is_that_of_any_cause_that_was_tried():
     content = file(["a"], candidates=[{"name": "a", "log10_e": 5.0}, {"name": "b", "log10_e": 0.2}])
     assert Said.of(content).largest == 5.0
+    unsure = file(ambiguous=[["a", "b"]], not_certified=[{"name": "c", "log10_e": 1.5}])
+    unsure["ambiguous"][0]["log10_e"] = 4.0
+    assert Said.of(unsure).evidence == {"c": 1.5, "a|b": 4.0}
+    # nothing was put to a test, by a search with e-values and by one without
+    assert Said.of(file(bar_log10_e=2.7)).largest == 0.0
     assert Said.of(file(["a"])).largest is None
 
 
@@ -224,3 +229,13 @@ def test_draws_are_of_flight_size():
         case = case_of("wind", 1000 + seed)
         speed = np.hypot(case.truth()["steady_wind.w_x"], case.truth()["steady_wind.w_y"])
         assert 2.0 <= speed <= 12.0
+
+
+def test_evidence_for_the_truth_is_shown_against_the_number_of_flights():
+    rows = [
+        row(asked=f"power:{n}", flights=n, hidden=["a"], log10_e={"a|b": 1.0 * n, "c": 50.0},
+            largest_log10_e=50.0, judged="set", sets=[["a", "b"]])
+        for n in (1, 2, 4)
+    ]  # fmt: skip
+    assert "power, 4 flights: named 1 of 1" in summary(rows)
+    assert "log10 E of the true cause 4.0" in summary(rows)

@@ -11,6 +11,9 @@ from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_para
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr
 
+POSSIBLE = 0.25
+"""Largest scale error that a calibrated sensor has: more is another unit or range setting."""
+
 
 class GyroScale(Effect):
     """omega_meas = (I + diag(s)) omega. It acts on the prediction; the data stay as they were measured."""
@@ -36,7 +39,10 @@ class GyroScale(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """s_x, s_y, s_z [-]."""
-        return vector_parameters("s_", "xyz", unit="-", scale=0.02, meaning="scale error", lower=-0.5, upper=0.5)
+        return vector_parameters(
+            "s_", "xyz", unit="-", scale=0.02, meaning="scale error", lower=-0.5, upper=0.5,
+            possible=POSSIBLE,
+        )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """After misalignment, before bias."""

@@ -13,6 +13,9 @@ from greybox.model.parameter import Parameter
 from greybox.model.sensors import on_clock
 from greybox.symbolic import Expr
 
+POSSIBLE = 0.175
+"""Largest angle [rad] that is a mounting error: ten degrees. More is another choice of axes."""
+
 
 class ImuMisalignment(Effect):
     """v_imu = Exp(theta)^T v_body for gyro and accelerometer."""
@@ -35,7 +38,8 @@ class ImuMisalignment(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """theta_x, theta_y, theta_z [rad]."""
         return vector_parameters(
-            "theta_", "xyz", unit="rad", scale=0.02, meaning="mounting angle", lower=-1.6, upper=1.6
+            "theta_", "xyz", unit="rad", scale=0.02, meaning="mounting angle", lower=-1.6, upper=1.6,
+            possible=POSSIBLE,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

@@ -12,6 +12,9 @@ from greybox.model.effect import Effect, Flow, Needs, ReferenceCase, vector_para
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr
 
+POSSIBLE = 0.175
+"""Largest angle [rad] that is a mounting error: ten degrees. More is another choice of axes."""
+
 
 class MocapMisalignment(Effect):
     """q_meas = q * exp(theta / 2): the measured attitude is that of the marker frame."""
@@ -37,7 +40,8 @@ class MocapMisalignment(Effect):
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """theta_x, theta_y, theta_z [rad]."""
         return vector_parameters(
-            "theta_", "xyz", unit="rad", scale=0.02, meaning="marker frame angle", lower=-1.6, upper=1.6
+            "theta_", "xyz", unit="rad", scale=0.02, meaning="marker frame angle", lower=-1.6, upper=1.6,
+            possible=POSSIBLE,
         )
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:

@@ -1,0 +1,246 @@
+"""Cause: one thing that a model may miss, and how large it typically is.
+
+An effect of the catalogue or of the user's file, a law that was read out of the discrepancy, and a
+part of the sensors' noise are the same to the search: each has parameters with a value at which it
+is absent and a prior about it, so that the evidence for any set of them is defined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from greybox.discovery.rules import RULES
+from greybox.errors import GreyboxError
+from greybox.model.effect import Effect
+from greybox.model.effects import CATALOGUE
+from greybox.model.identified import IdentifiedModel
+from greybox.model.model import PhysicsModel, build_model
+from greybox.model.noise import Augmented, Disturbance, SensorPart
+from greybox.model.parameter import Parameter
+from greybox.model.vehicle import Vehicle
+
+Kind = Literal["effect", "sensor noise"]
+BASE = ("gyro_bias", "accelerometer_bias")
+"""In the structure from the start where sensors and vehicle file allow: no sensor is without."""
+GROUPS = ("force", "torque")
+"""Groups of the process noise that carry the unnamed discrepancy."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cause:
+    """One candidate. `parameters` are full names, `prior` maps each to the value at which the cause
+    is absent and the standard deviation about it. `needs`: causes without one of which it is not
+    felt (a wind without a drag). An effect's `early` slots change states or command window."""
+
+    name: str
+    kind: Kind
+    parameters: tuple[str, ...]
+    prior: Mapping[str, tuple[float, float]]
+    needs: tuple[str, ...] = ()
+    early: bool = False
+    effect: Effect | None = None
+    part: SensorPart | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Causes:
+    """All causes that are `offered`, on one `model` (PhysicsModel) that holds every effect of them
+    and those of the vehicle file. `core` are the free parameters that are of no cause, `unjudged`
+    maps what cannot be offered to the reason. `known`: (value, standard deviation) of parameters of
+    a model that was identified before. `flat`: no parameter has a prior."""
+
+    model: PhysicsModel
+    offered: Mapping[str, Cause]
+    core: tuple[str, ...]
+    unjudged: Mapping[str, str]
+    per_flight: tuple[str, ...] = ()
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    flat: bool = False
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects among the causes."""
+        return tuple(n for n, c in self.offered.items() if c.kind == "effect")
+
+    @property
+    def base(self) -> frozenset[str]:
+        """Causes that are in the structure from the start."""
+        return frozenset(n for n in BASE if n in self.offered)
+
+    @cached_property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of the process noise with an unnamed discrepancy."""
+        names = {n.split(".")[0] for n in self.model.noises.names}
+        return tuple(g for g in GROUPS if g in names)
+
+    def built(self, structure: Iterable[str]) -> Augmented:
+        """The model of a structure: core, its effects, unnamed force and torque, its sensor noise."""
+        chosen = [self.offered[n] for n in structure]
+        there = {c.name for c in chosen}
+        gone = [n for n in self.effects if n not in there]
+        parts = [c.part for c in chosen if c.part is not None]
+        core = self.model.without_effect(*gone) if gone else self.model
+        states = [Disturbance(group=g) for g in self.groups]
+        return Augmented(core=core, parts=(*parts, *states))
+
+    def canonical(self) -> Causes:
+        """The same with the catalogue's own effects: what came over the wire then shares one build."""
+        own = {type(e): e for e in CATALOGUE}
+        effects = tuple(own.get(type(e), e) for e in self.model.effects)
+        if effects == self.model.effects:
+            return self
+        return replace(self, model=replace(self.model, effects=effects))
+
+    def with_cause(self, *more: Cause) -> Causes:
+        """These and further causes. Raises `ModelError` for an effect that the model cannot have."""
+        effects = [c.effect for c in more if c.effect is not None]
+        model = self.model.with_effect(*effects) if effects else self.model
+        return replace(self, model=model, offered={**self.offered, **{c.name: c for c in more}})
+
+    def prior_of(self, name: str) -> tuple[float, float] | None:
+        """(value at which its cause is absent, sigma) of a parameter; None where it is of no cause."""
+        owner = self.offered.get(name.split(".")[0])
+        return None if owner is None else owner.prior.get(name)
+
+    def prior(self, d: Parameter) -> tuple[float, float] | None:
+        """(mean, sigma) of a parameter where it is not what its declaration says."""
+        if d.name in self.known:
+            return self.known[d.name]
+        own = self.prior_of(d.name)
+        if own is not None:
+            return own
+        if d.name.split(".")[0] in ("disturbance", "coloured", "low_pass", "line"):
+            return d.nominal, RULES.typical * d.scale
+        return None
+
+
+def cause_of(effect: Effect, vehicle: Vehicle) -> Cause:
+    """An effect as a cause. A parameter without a null is a shape, typical at its nominal value."""
+    prior = {
+        f"{effect.name}.{d.name}": (
+            float(d.nominal if d.null is None else d.null),
+            RULES.typical * d.scale,
+        )
+        for d in effect.parameters(vehicle)
+    }
+    return Cause(
+        name=effect.name,
+        kind="effect",
+        parameters=tuple(prior),
+        prior=prior,
+        needs=effect.needs.effects,
+        early=bool(effect.early) or bool(effect.memory(vehicle)),
+        effect=effect,
+    )
+
+
+def sensor_cause(part: SensorPart, model: PhysicsModel) -> Cause:
+    """A part of the sensors' noise as a cause; its name is that of the part."""
+    declared = part.parameters(model)
+    prior = {d.name: (d.nominal, RULES.typical * d.scale) for d in declared}
+    return Cause(
+        name=part.name,
+        kind="sensor noise",
+        parameters=tuple(prior),
+        prior=prior,
+        early=True,
+        part=part,
+    )
+
+
+def offer(
+    vehicle: Vehicle,
+    columns: Iterable[str],
+    *,
+    own: Iterable[Effect] = (),
+    sample_time: float = 0.01,
+    noncausal: Iterable[str] = (),
+    kinematic_noise: bool = False,
+    fixed: Iterable[str] = (),
+    per_flight: Iterable[str] = (),
+    known: Known | None = None,
+) -> Causes:
+    """The effects of the catalogue and of the user's `own` that the vehicle file and the `columns`
+    of the log allow, and the biases of the sensors.
+
+    Effects in the vehicle file, and those of the model that was `known`, are not offered again.
+    Raises `ModelError` for a log without sensors.
+    """
+    columns = tuple(columns)
+    noncausal = tuple(noncausal)
+
+    before = () if known is None else known.effects
+
+    def build(effects: Iterable[Effect]) -> PhysicsModel:
+        return build_model(
+            vehicle,
+            columns,
+            (*before, *effects),
+            sample_time=sample_time,
+            noncausal=noncausal,
+            kinematic_noise=kinematic_noise,
+        )
+
+    bare = build(())
+    there = {e.name for e in bare.effects}
+    chosen: list[Effect] = []
+    unjudged: dict[str, str] = {}
+    for effect in (*CATALOGUE, *own):
+        if effect.name in there:
+            continue
+        why = _not_offered(effect, bare, columns)
+        if why is None:
+            chosen.append(effect)
+        else:
+            unjudged[effect.name] = why
+    model = build(chosen)
+    causes = {e.name: cause_of(e, vehicle) for e in chosen}
+    every = {p for c in causes.values() for p in c.parameters}
+    held = set(fixed)
+    core = tuple(
+        d.name for d in model.parameters if d.sigma > 0 and d.name not in every and d.name not in held
+    )
+    return Causes(
+        model=model,
+        offered=causes,
+        core=core,
+        unjudged=unjudged,
+        per_flight=tuple(per_flight),
+        known={} if known is None else known.prior,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What an identified model says: its effects, and (value, standard deviation) of every number."""
+
+    effects: tuple[Effect, ...]
+    prior: Mapping[str, tuple[float, float]]
+
+
+def since(model: IdentifiedModel) -> Known:
+    """An identified model as what is known before new flights: its numbers with their errors, those
+    that differ from flight to flight with that spread."""
+    errors = dict(zip(model.covariance_names, np.sqrt(np.diag(model.covariance)), strict=True))
+    prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
+    prior |= {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
+    return Known(effects=tuple(model.physics.effects), prior=prior)
+
+
+def _not_offered(effect: Effect, bare: PhysicsModel, columns: tuple[str, ...]) -> str | None:
+    """Why a log cannot judge an effect; None where it can."""
+    missing = [c for c in effect.needs.columns if c not in columns]
+    if missing:
+        return f"no {', '.join(missing)}"
+    if effect.name == "rotor_gyroscopic" and not bare.omega_known:
+        return "no speed_max in the vehicle file"
+    try:
+        bare.with_effect(effect)
+    except GreyboxError as error:
+        return str(error)
+    return None

@@ -1,0 +1,224 @@
+"""Certificate: an e-value for every name, from flights that did not propose it.
+
+For a structure S with the cause c and a rival R without it, and flights D1 and D2,
+
+    E = p(D2 | S, D1) / sup over theta of p(D2 | R, theta).
+
+If R is the truth, P(E >= 1/a) <= a in finite samples, whatever the number of parameters, at bounds,
+with thresholds and delays (Wasserman, Ramdas and Balakrishnan 2020, PNAS 117(29): universal
+inference). The numerator is evidence of D1 and D2 together less that of D1. Some forty unknowns that
+S and R share (noise levels, core, biases and start of a flight) are then fitted to D2 in the
+denominator alone. The e-value of a name is therefore the mean of this one and of the sharper
+
+    E = p(D2 | S, D1) / p(D2 | R, D1) / regret,
+
+in which both sides integrate what they share over what D1 taught, as group invariance allows
+(Perez-Ortiz, Lardy, de Heide and Gruenwald 2024, Annals of Statistics 52(4)), and only what R has in
+the place of c is taken at its worst: `regret` is the supremum over D2 against the integral. Where the
+first alone decides the second is not worked out, and counts as nothing. The e-value of a name is
+that against its strongest rival. Without D2 flights are halved, and the mean of both ways is an
+e-value, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.data import Dataset
+from greybox.discovery.evidence import Fitted, Flights, Key
+from greybox.discovery.search import Rival
+from greybox.symbolic import FloatArray
+
+APART = 0.5
+"""Seconds between the halves of a single flight: what is remembered has faded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """`log_e` of a name against its strongest rival, `against` (empty: dropped), and against every
+    rival that was asked."""
+
+    name: str
+    log_e: float
+    against: tuple[str, ...]
+    rivals: Mapping[tuple[str, ...], float]
+
+    def beaten(self, bar: float) -> bool:
+        """Whether every rival is beaten by the `bar`."""
+        return self.log_e >= bar
+
+    def alike(self, bar: float) -> list[tuple[str, ...]]:
+        """Rivals that take the place of the name and are not beaten by the `bar`."""
+        return [r for r, e in self.rivals.items() if r and e < bar]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """Flights that taught (`first`), those that judge, without priors (`judge`), and `both`."""
+
+    first: Flights
+    judge: Flights
+    both: Flights
+
+
+def splits(train: Flights, test: Dataset | None) -> list[Split]:
+    """Training against test flights where there are any, else halves of the training flights both
+    ways: by flights, those of a single one by time."""
+    if test is not None:
+        new = renamed(test, train.data.names)
+        both = train.on(train.data + new)
+        return [Split(first=train, judge=train.on(new, flat=True), both=both)]
+    one, other = halves(train.data)
+    both = train if len(train.data.flights) > 1 else train.on(one + other)
+    return [
+        Split(first=train.on(a), judge=train.on(b, flat=True), both=both)
+        for a, b in ((one, other), (other, one))
+    ]
+
+
+def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:
+    """The flights under names that are not `taken`."""
+    flights = []
+    for f in data:
+        name = f.name
+        while name in taken:
+            name = f"{name} (test)"
+        flights.append(replace(f, name=name))
+    return Dataset(flights=tuple(flights))
+
+
+def halves(data: Dataset) -> tuple[Dataset, Dataset]:
+    """Two sets of flights of about the same length; of one flight its two halves, apart."""
+    if len(data.flights) > 1:
+        sides: tuple[list[object], list[object]] = ([], [])
+        length = [0.0, 0.0]
+        for f in sorted(data, key=lambda f: -f.duration):
+            i = int(length[1] < length[0])
+            sides[i].append(f)
+            length[i] += f.duration
+        return tuple(Dataset(flights=tuple(s)) for s in sides)  # type: ignore[return-value, arg-type]
+    (flight,) = data.flights
+    total = sum(s.n for s in flight.segments)
+    early, late, seen = [], [], 0
+    gap = round(APART / flight.dt / 2)
+    for s in flight.segments:
+        cut = int(np.clip(total // 2 - seen, 0, s.n))
+        if cut - gap > 1:
+            early.append(s.rows(0, cut - gap))
+        if s.n - cut - gap > 1:
+            late.append(s.rows(cut + gap, s.n))
+        seen += s.n
+    return (
+        Dataset(flights=(replace(flight, segments=tuple(early)),)),
+        Dataset(flights=(replace(flight, name=f"{flight.name} (late)", segments=tuple(late)),)),
+    )
+
+
+def certificates(
+    at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
+) -> dict[str, Certificate]:
+    """Name -> certificate, of every name of `rivals` in the structure `at`. A rival whose evidence
+    on the flights that taught is hopelessly behind is not asked, but for doing without the name."""
+    behind = judges[0].both.effort.behind
+    own = [_predictive(at, at, split) for split in judges]
+    out = {}
+    for name, rows in rivals.items():
+        found: dict[tuple[str, ...], float] = {}
+        for rival in rows:
+            if rival.instead and rival.fitted.log_evidence < at.log_evidence - behind:
+                continue
+            found[rival.instead] = _log_e(at, rival, own, judges, bar)
+        strongest = min(found, key=lambda r: found[r], default=())
+        log_e = found[strongest] if found else -np.inf
+        out[name] = Certificate(name=name, log_e=log_e, against=strongest, rivals=found)
+    return out
+
+
+def _log_e(
+    at: Fitted,
+    rival: Rival,
+    own: Sequence[tuple[Fitted, Fitted]],
+    judges: Sequence[Split],
+    bar: float,
+) -> float:
+    """Log e-value against one rival; below it where the strict one alone decides."""
+    gained = [both.log_evidence - first.log_evidence for first, both in own]
+    known = rival.fitted.known
+    start = [known, {**at.known, **known}]
+    worst = [s.judge.fit(rival.fitted.structure, start) for s in judges]
+    strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
+    if strict >= bar + np.log(2):
+        return strict - float(np.log(2))
+    told = []
+    for g, split in zip(gained, judges, strict=True):
+        first, both = _predictive(rival.fitted, at, split)
+        keys = _keys(both, split, rival.instead)
+        lost = both.log_evidence - first.log_evidence
+        told.append(g - lost - (regret(first, both, keys) if keys else 0.0))
+    return _mean([strict, _mean(told)])
+
+
+def _mean(logs: Sequence[float]) -> float:
+    """Log of the mean of numbers that are given by their logarithms."""
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
+
+
+def _predictive(fitted: Fitted, at: Fitted, split: Split) -> tuple[Fitted, Fitted]:
+    """A structure on the flights that taught, and on all."""
+    known = fitted.known
+    starts = [known] if fitted is at else [known, {**at.known, **known}]
+    first = split.first.fit(fitted.structure, starts)
+    return first, split.both.fit(fitted.structure, [known, first.known])
+
+
+def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:
+    own = {p for n in causes for p in split.both.causes.offered[n].parameters}
+    return [(u.name, u.flight) for u in both.problem.unknowns if u.name in own]
+
+
+def regret(first: Fitted, both: Fitted, keys: Sequence[Key]) -> float:
+    """Log of the supremum over D2 less that of the integral, for the unknowns `keys` of a rival, all
+    others integrated, to second order: with information V1 from D1 and V from both,
+
+        log det(V) / 2 - log det(V1) / 2 + d' V1 d / 2 + (V1 d)' (V - V1)^-1 (V1 d) / 2,
+
+    d what D2 moved the estimate by.
+    """
+    v, theta = _information(both, keys)
+    there = {(u.name, u.flight) for u in first.problem.unknowns}
+    old = [i for i, k in enumerate(keys) if k in there]
+    places = both.problem.index
+    unknowns = [both.problem.unknowns[places[k]] for k in keys]
+    v1 = np.diag([1.0 / u.sigma**2 for u in unknowns])
+    theta1 = np.array([u.mean for u in unknowns])
+    if old:
+        part, value = _information(first, [keys[i] for i in old])
+        v1[np.ix_(old, old)] = part
+        theta1[old] = value
+    d = v1 @ (theta - theta1)
+    _, large = np.linalg.slogdet(v)
+    _, small = np.linalg.slogdet(v1)
+    level, directions = np.linalg.eigh(v - v1)
+    keep = level > 1e-9 * max(level.max(initial=0.0), 1e-300)
+    along = directions[:, keep].T @ d
+    ends = float((theta - theta1) @ d) + float((along**2 / level[keep]).sum())
+    return max(0.5 * float(large - small) + 0.5 * ends, 0.0)
+
+
+def _information(fitted: Fitted, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
+    """Information on some unknowns with all others integrated out, and their estimates."""
+    assert fitted.value.hessian is not None
+    places = [fitted.problem.index[k] for k in keys]
+    rest = [i for i in range(fitted.problem.n) if i not in set(places) and not fitted.held[i]]
+    h = fitted.value.hessian
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    unit = h / np.outer(scale, scale)
+    own = unit[np.ix_(places, places)]
+    if rest:
+        cross = unit[np.ix_(places, rest)]
+        inner = unit[np.ix_(rest, rest)] + 1e-10 * np.eye(len(rest))
+        own = own - cross @ np.linalg.solve(inner, cross.T)
+    return own * np.outer(scale[places], scale[places]), fitted.theta[places]

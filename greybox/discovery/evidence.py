@@ -1,0 +1,349 @@
+"""Evidence: how likely flights are under a structure, its parameters integrated over their priors.
+
+Laplace's approximation at the maximum a posteriori (Kass and Raftery 1995, JASA 90(430), sec. 4.1),
+exact for a linear Gaussian model. Parameters of a cause have the prior that it declares, core
+parameters that of the vehicle file, the start of every flight that of its first readings. A
+parameter that ended at its bound is integrated along one side, and a prior that a bound cuts holds
+its mass on the side that is allowed.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.special
+from threadpoolctl import threadpool_limits
+
+from greybox.cores import cores
+from greybox.data import Dataset
+from greybox.discovery.cause import Causes
+from greybox.discovery.rules import EFFORT, Effort
+from greybox.estimation.engine import engine_for
+from greybox.estimation.fit import Fit, fit
+from greybox.estimation.initialisation import noise_start
+from greybox.estimation.options import FitOptions
+from greybox.estimation.problem import Problem, Value, few_samples, make_problem
+from greybox.estimation.solver import Objective, Progress
+from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.status import Code, Status
+from greybox.symbolic import BoolArray, FloatArray
+
+Key = tuple[str, str | None]
+"""An unknown and, where it is one flight's own, the flight (or record)."""
+Structure = frozenset[str]
+Start = Mapping[Key, float]
+WEAK = 1e-8
+"""Precision, per squared scale, of an unknown without prior that nothing tells: a flat prior."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """A structure at its maximum a posteriori on some flights. `log_evidence` is that of the
+    flights, `theta` (n,) all unknowns of `problem`, `value` its cost, gradient and Hessian there."""
+
+    structure: Structure
+    problem: Problem
+    theta: FloatArray
+    value: Value
+    status: Status
+    log_evidence: float
+    exact: bool = True
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the evidence can be held against others: the optimum, or a kink (a delay of whole
+        samples) where no step lowers the cost."""
+        return self.status.converged or self.status.code is Code.NO_PROGRESS
+
+    @property
+    def known(self) -> dict[Key, float]:
+        """All unknowns by name and flight."""
+        pairs = zip(self.problem.unknowns, self.theta, strict=True)
+        return {(u.name, u.flight): float(t) for u, t in pairs}
+
+    @property
+    def held(self) -> BoolArray:
+        """Which unknowns ended at a bound."""
+        return at_bound(self.problem, self.theta, self.value)
+
+
+def at_bound(problem: Problem, theta: FloatArray, value: Value) -> BoolArray:
+    """Which unknowns (n,) a bound holds back."""
+    assert value.gradient is not None
+    low, high = theta <= problem.lower, theta >= problem.upper
+    return np.asarray((low & (value.gradient > 0)) | (high & (value.gradient < 0)))
+
+
+def log_evidence(problem: Problem, theta: FloatArray, value: Value) -> float:
+    """Log of the integral of likelihood times prior about `theta` (n,), see the module."""
+    assert value.gradient is not None and value.hessian is not None
+    scale = problem.scale
+    gradient = value.gradient * scale
+    h = value.hessian * np.outer(scale, scale) + WEAK * np.eye(problem.n)
+    held = at_bound(problem, theta, value)
+    free = ~held
+    sign, logdet = np.linalg.slogdet(h[np.ix_(free, free)])
+    if sign <= 0:
+        return -np.inf
+    total = -value.cost + float(np.log(scale).sum())
+    total += 0.5 * float(free.sum()) * np.log(2 * np.pi) - 0.5 * float(logdet)
+    for i in np.flatnonzero(held).tolist():  # integral of exp(-g t - h t^2 / 2) over t > 0
+        g, c = abs(gradient[i]), h[i, i]
+        ratio = scipy.special.erfcx(g / np.sqrt(2 * c))
+        total += float(np.log(np.sqrt(np.pi / (2 * c)) * ratio))
+    spread = np.zeros(problem.n)
+    spread[free] = np.sqrt(np.diag(np.linalg.inv(h[np.ix_(free, free)]))) * scale[free]
+    for i, u in enumerate(problem.unknowns):
+        bounded = np.isfinite(u.lower) or np.isfinite(u.upper)
+        if np.isfinite(u.sigma):
+            total -= float(np.log(u.sigma)) + 0.5 * float(np.log(2 * np.pi))
+            if bounded and u.kind == "parameter":
+                total -= _log_mass(u.lower, u.upper, u.mean, u.sigma)
+        if bounded and u.kind == "parameter" and free[i]:
+            total += _log_mass(u.lower, u.upper, float(theta[i]), float(spread[i]))
+    return float(total)
+
+
+def _log_mass(low: float, high: float, mean: float, sigma: float) -> float:
+    """Log of what a normal distribution has between two bounds."""
+    a, b = (low - mean) / sigma, (high - mean) / sigma
+    if a > 0:
+        a, b = -b, -a
+    mass = scipy.special.ndtr(b) - scipy.special.ndtr(a)
+    return float(np.log(max(mass, 1e-300)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _There:
+    """A solver that knows the answer."""
+
+    theta: FloatArray
+    status: Status
+    name: str = "levenberg-marquardt"
+
+    def solve(
+        self, problem: Objective, start: FloatArray, progress: Progress | None = None
+    ) -> tuple[FloatArray, Status]:
+        """The answer."""
+        return self.theta, self.status
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One fit in plain values: a structure, unknowns to start from, of which the likeliest is taken
+    (none: noise levels from the data), and where the solver stops."""
+
+    structure: Structure
+    starts: tuple[Start, ...]
+    tolerance: float
+    iterations: int
+    target: float = np.inf
+
+
+@dataclass(kw_only=True, eq=False)
+class Flights:
+    """Fits of structures on one set of flights, each done once. Further causes may join."""
+
+    causes: Causes
+    data: Dataset
+    options: FitOptions = field(default_factory=FitOptions)
+    effort: Effort = EFFORT
+    executor: concurrent.futures.Executor | None = None
+    _known: dict[Structure, Fitted] = field(default_factory=dict)
+
+    def on(self, data: Dataset, *, flat: bool = False) -> Flights:
+        """The same causes on other flights; `flat`: no parameter has a prior."""
+        return Flights(
+            causes=replace(self.causes, flat=flat),
+            data=data,
+            options=self.options,
+            effort=self.effort,
+            executor=self.executor,
+        )
+
+    def fit(
+        self,
+        structure: Iterable[str],
+        starts: Sequence[Start] = (),
+    ) -> Fitted:
+        """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
+        not say is as declared)."""
+        known = self._known.get(frozenset(structure))
+        if known is not None and known.exact:
+            return known
+        again = Task(
+            structure=frozenset(structure),
+            starts=tuple(starts) if known is None else (known.known,),
+            tolerance=self.effort.exact,
+            iterations=self.effort.iterations,
+        )
+        return self._carried_out([again], exact=True)[0]
+
+    def contest(self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted) -> list[Fitted]:
+        """Structures that are held against each other and against `than`, each from the likeliest of
+        its starts: carried on as long as they may catch up, and exact where they come near."""
+        e = self.effort
+        new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
+        self.prepare(s for s, _ in new)
+        opened = [Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new]
+        self._carried_out(opened)
+
+        def found() -> list[Fitted]:
+            return [self._known[s] for s, _ in asked]
+
+        best = max([than, *found()], key=lambda f: f.log_evidence)
+        on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
+        goes_on = Task(
+            structure=frozenset(),
+            starts=(),
+            tolerance=e.rough,
+            iterations=e.iterations - e.opening,
+            target=best.value.likelihood + e.behind,
+        )
+        self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
+        best = max([than, *found()], key=lambda f: f.log_evidence)
+        near = [f for f in found() if f.log_evidence > best.log_evidence - e.behind]
+        for f in near:
+            self.fit(f.structure)
+        return found()
+
+    def _carried_out(self, tasks: Sequence[Task], exact: bool = False) -> list[Fitted]:
+        """Carry out tasks, side by side where there is an executor; what cannot be sent runs here."""
+        common = self.causes, self.data, self.options
+        if self.executor is not None and len(tasks) > 1 and _sendable((common, tasks)):
+            sent = [self.executor.submit(solved, *common, t) for t in tasks]
+            answers = [f.result() for f in sent]
+        else:
+            answers = [solved(*common, t) for t in tasks]
+        out = []
+        for task, (theta, status) in zip(tasks, answers, strict=True):
+            with threadpool_limits(limits=1):
+                problem = problem_of(*common, task.structure)
+                value = problem.evaluate(theta)
+            evidence = -np.inf
+            if value.valid and value.hessian is not None:
+                evidence = log_evidence(problem, theta, value)
+            self._known[task.structure] = Fitted(
+                structure=task.structure,
+                problem=problem,
+                theta=theta,
+                value=value,
+                status=status,
+                log_evidence=evidence,
+                exact=exact,
+            )
+            out.append(self._known[task.structure])
+        return out
+
+    def known(self, structure: Iterable[str]) -> Fitted | None:
+        """The fit of a structure that was done already."""
+        return self._known.get(frozenset(structure))
+
+    def prepare(self, structures: Iterable[Structure]) -> None:
+        """Build the steps that fits of these structures need, side by side: compilers are
+        processes."""
+        quick = few_samples(self.data)
+
+        def build(structure: Structure) -> None:
+            model = self.causes.built(sorted(structure))
+            wanted = set(choices(self.causes, self.options, structure).free or ())
+            engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted), quick=quick)
+
+        with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
+            list(pool.map(build, structures))
+
+    def settled(self, found: Fitted) -> Fit:
+        """The whole result of a fit, with errors, as `greybox.estimation.fit` gives it."""
+        p = found.problem
+        options = choices(self.causes, self.options, found.structure)
+        solver = _There(theta=found.theta, status=found.status)
+        return fit(p.dynamics, self.data, options, solver=solver)
+
+
+def choices(causes: Causes, options: FitOptions, structure: Structure) -> FitOptions:
+    """What is free, and every prior, in a fit of a structure."""
+    chosen = [causes.offered[n] for n in sorted(structure)]
+    declared = {d.name: d for d in causes.built(sorted(structure)).parameters}
+    own = [p for c in chosen for p in c.parameters if p in declared]
+    lasting = [n for n in declared if n.split(".")[0] == "disturbance"]
+    priors = {n: p for n, d in declared.items() if (p := causes.prior(d)) is not None}
+    if causes.flat:
+        free = (*causes.core, *own, *lasting)
+        means = {n: priors[n][0] if n in priors else declared[n].nominal for n in free}
+        priors = {n: (m, np.inf) for n, m in means.items()}
+    values = {n: p[0] for n, p in priors.items() if causes.prior_of(n) is not None}
+    return options.but(
+        free=(*causes.core, *own, *lasting),
+        values={**values, **{n: v for n, (v, _) in causes.known.items() if n in declared}},
+        priors=priors,
+        flight_priors=priors,
+        per_flight=[n for n in causes.per_flight if n in declared],
+        initialisation="nominal",
+    )
+
+
+def problem_of(
+    causes: Causes, data: Dataset, options: FitOptions, structure: Structure
+) -> Problem:
+    """The unknowns and the cost of a structure. Raises `DataError`, `ModelError`."""
+    model = causes.built(sorted(structure))
+    return make_problem(model, data, choices(causes, options, structure))
+
+
+def solved(
+    causes: Causes, data: Dataset, options: FitOptions, task: Task
+) -> tuple[FloatArray, Status]:
+    """Carry out one task: (unknowns (n,), how the solver ended)."""
+    with threadpool_limits(limits=1):
+        problem = problem_of(causes.canonical(), data, options, task.structure)
+        offered = [problem.inside(vector(problem, s)) for s in task.starts]
+        offered = offered or [noise_start(problem)]
+        start = offered[0]
+        if len(offered) > 1:
+            start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
+        solver = LevenbergMarquardt(
+            tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
+        )
+        return solver.solve(problem, start)
+
+
+def _sendable(content: object) -> bool:
+    """Whether it can be pickled."""
+    try:
+        pickle.dumps(content)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return False
+    return True
+
+
+def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
+    """Unknowns of the problem (n,) at the known values; one flight's own at what all share, or at
+    the mean of other flights, where that is known; else as they start."""
+    others: dict[str, list[float]] = {}
+    for (name, flight), value in known.items():
+        if flight is not None:
+            others.setdefault(name, []).append(value)
+
+    def of(name: str, flight: str | None, start: float, kind: str) -> float:
+        if (name, flight) in known:
+            return known[name, flight]
+        if (name, None) in known:
+            return known[name, None]
+        if kind == "parameter" and name in others:
+            return float(np.mean(others[name]))
+        return start
+
+    return np.array(
+        [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
+    )
+
+
+def say_nothing(text: str, share: float) -> None:
+    """A progress that is not shown."""
+
+
+Say = Callable[[str, float], None]

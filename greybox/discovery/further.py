@@ -1,0 +1,107 @@
+"""Further: more flights multiply the evidence of names that were found before.
+
+New flights D judge the structure S that a search ended with, its posterior as the prior, against the
+structure without a name and against that name's strongest rival, both fitted to D at their worst
+(universal inference, see `greybox.discovery.certificate`):
+
+    E = p(D | S, what was known) / sup p(D | R, theta).
+
+E-values of flights that are independent given the model multiply, and the product is an e-value
+(Grunwald, de Heide and Koolen 2024, JRSS B 86(5)), so that flights may be added until the answer is
+clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from greybox.data import Dataset
+from greybox.discovery.cause import Known, offer, since
+from greybox.discovery.evidence import Flights, Key, Structure
+from greybox.discovery.lead import led
+from greybox.discovery.name import LOG10
+from greybox.errors import DataError
+from greybox.estimation.record import sample_time
+from greybox.model.effect import Effect
+from greybox.model.identified import IdentifiedModel
+
+
+@threadpool_limits.wrap(limits=1)
+def further(
+    content: Mapping[str, Any], model: IdentifiedModel, data: Dataset, own: Iterable[Effect] = ()
+) -> dict[str, Any]:
+    """The `content` of discovery.json with the evidence of new flights `data` multiplied to that of
+    its names; `model` is the one beside it, `own` are effects besides the catalogue.
+
+    Raises `DataError` where a flight judged already or nothing has a name, `ModelError`, `FitError`.
+    """
+    taken = {*content["trained_on"], *content["tested_on"]}
+    if twice := sorted(taken & set(data.names)):
+        raise DataError(
+            f"{', '.join(twice)} took part in the search already",
+            expected="flights that did not",
+            fix="give new flights (a flight is known by its name)",
+        )
+    names = [e["name"] for e in content["effects"]]
+    if not names:
+        raise DataError("no name to go on with", fix="greybox discover with all flights")
+    known = since(model)
+    vehicle = model.physics.vehicle
+    causes = offer(
+        vehicle,
+        data.channels,
+        own=own,
+        sample_time=sample_time(data),
+        noncausal=data.noncausal,
+        known=Known(effects=(), prior=known.prior),
+    )
+    structure = frozenset(n for n in model.effects if n in causes.offered)
+    flights = Flights(causes=causes, data=led(data))
+    start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
+    told = flights.fit(structure, [start])
+    flat = flights.on(flights.data, flat=True)
+    effects = []
+    for effect in content["effects"]:
+        rivals = _rivals(structure, effect, causes.effects)
+        worst = min(flat.fit(r, [told.known, start]).value.likelihood for r in rivals)
+        new = (told.log_evidence + worst) / LOG10
+        total = effect["log10_e"] + new
+        enough = total >= content["bar_log10_e"]
+        status = "certified" if enough else effect["status"]
+        if not enough and status == "certified":
+            status = "not certified"
+        effects.append({**effect, "log10_e": total, "status": status, "further": new})
+    kept = [e for e in effects if e["status"] != "not certified"]
+    lost = [
+        {**_without_numbers(e), "reason": f"further flights speak against it: {e['log10_e']:.1f}"}
+        for e in effects
+        if e["status"] == "not certified"
+    ]
+    return {
+        **content,
+        "effects": kept,
+        "not_certified": [*content["not_certified"], *lost],
+        "tested_on": [*content["tested_on"], *data.names],
+        "line": _line(kept),
+        "verdict": content["verdict"] if kept or content["ambiguous"] else "nothing_missing",
+    }
+
+
+def _rivals(structure: Structure, effect: Mapping[str, Any], offered: Iterable[str]) -> list[Structure]:
+    """The structures that do without a name: it is dropped, or its strongest rival is in its place."""
+    left = structure - {effect["name"]}
+    instead = frozenset(str(effect["against"]).split(" + "))
+    return [left, left | instead] if instead <= set(offered) else [left]
+
+
+def _without_numbers(effect: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: effect[k] for k in ("name", "status", "log10_e", "against", "worth", "further")}
+
+
+def _line(kept: Iterable[Mapping[str, Any]]) -> str:
+    said = [f"{e['name']} (log10 e {e['log10_e']:.1f})" for e in kept]
+    return "MISSING: " + "; ".join(said) if said else "no name holds on the further flights"
+

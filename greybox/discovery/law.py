@@ -1,0 +1,53 @@
+"""Law: what one axis of the unnamed force and torque holds, and the terms that it follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.discovery.rules import RULES
+from greybox.discovery.terms import Memory
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Axis:
+    """One axis: `channel` (force.x, ...), `rms` of its smoothed discrepancy [unit], `gain`: log
+    evidence that its state brings, `lasts`: its correlation time [s]. Of its law, if it has one:
+    `share` of the variance that `terms` (text -> coefficient, SI) explain on flights that were left
+    out, the signals they look at, `codes` as lines of an effect file, and `memories`, how those
+    with a memory follow it, and its RMS. `needed`: whether the flights clearly need the state."""
+
+    channel: str
+    unit: str
+    rms: float
+    gain: float
+    lasts: float
+    needed: bool
+    share: float = 0.0
+    terms: Mapping[str, float] = None  # type: ignore[assignment]
+    depends_on: tuple[str, ...] = ()
+    codes: tuple[str, ...] = ()
+    memories: tuple[tuple[Memory, float] | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", dict(self.terms or {}))
+
+    @property
+    def lawful(self) -> bool:
+        """Whether a law was found."""
+        return bool(self.terms) and self.share >= RULES.law
+
+    def to_dict(self) -> dict[str, Any]:
+        """As in discovery.json."""
+        law = " + ".join(f"{c:.4g} {t}" for t, c in self.terms.items()) if self.lawful else ""
+        return {
+            "channel": self.channel,
+            "depends_on": list(self.depends_on) if law else [],
+            "share": self.share,
+            "rms": self.rms,
+            "unit": self.unit,
+            "proposal": f"{self.channel} = {law}" if law else None,
+            "gain": self.gain,
+            "lasts_s": self.lasts,
+        }

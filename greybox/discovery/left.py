@@ -1,0 +1,252 @@
+"""Left: what the unnamed force and torque still hold, and whether it can be written down.
+
+Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights need
+next to all names holds something: how large it is, how long it lasts and, where terms of a small
+library (greybox.discovery.terms) explain it on flights that were left out, the law. A law is written
+as an effect file and enters the race as any other cause: it stays where the evidence says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.discovery.cause import cause_of
+from greybox.discovery.evidence import Fitted, Flights
+from greybox.discovery.law import Axis
+from greybox.discovery.proposal import proposed
+from greybox.discovery.responses import Library, library
+from greybox.discovery.rules import RULES
+from greybox.discovery.selection import left_out, select, solve
+from greybox.discovery.terms import Memory, wanted_features
+from greybox.errors import FitError, GreyboxError
+from greybox.estimation.fit import Fit, fit
+from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import with_physics
+from greybox.model.noise import disturbances, without_parts
+from greybox.residual.discrepancy import discrepancy
+
+TERMS = 6
+"""Terms of an axis, at most."""
+OWN: dict[str, tuple[str, tuple[str, ...]]] = {
+    "force.z": ("rotors.thrust", ("thrust.", "mass")),
+    "torque.x": ("rotors.roll", ("thrust.", "inertia.xx")),
+    "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")),
+    "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
+}
+"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names of
+these begin)."""
+SILENT = 12.0
+"""By how much the logarithm of a level falls when its state is taken away."""
+LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
+"""By how much the logarithm of the white noise is tried to rise in its place."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Left:
+    """All axes, and the structure with the laws that won (None without any); `taken` are names of
+    effects that proposals must not have."""
+
+    axes: tuple[Axis, ...]
+    written: Fitted | None = None
+    taken: tuple[str, ...] = ()
+
+    def lawful(self, settled: Fit) -> IdentifiedModel:
+        """The model of `written`, whose whole result is `settled`, its laws read from the files that
+        hold its numbers: a model file goes with the files beside it."""
+        effects = proposed(self.laws, self.taken)
+        own = [e.name for e in effects]
+        dynamics = with_physics(
+            settled.model.dynamics, lambda m: m.without_effect(*own).with_effect(*effects)
+        )
+        return replace(settled.model, dynamics=dynamics)
+
+    @property
+    def unnamed(self) -> tuple[Axis, ...]:
+        """Axes that clearly hold something."""
+        return tuple(a for a in self.axes if a.needed)
+
+    @property
+    def laws(self) -> tuple[Axis, ...]:
+        """Those with a law, which won."""
+        return tuple(a for a in self.unnamed if a.lawful) if self.written is not None else ()
+
+
+def axis_gains(at: Fitted, bar: float) -> dict[str, tuple[float, bool]]:
+    """Axis -> (log likelihood lost when its state is taken away and white noise takes over what it
+    can, whether that is clear and worth anything). All else stays, which overstates the loss."""
+    problem, theta = at.problem, at.theta
+    place = {u.name: i for i, u in enumerate(problem.unknowns)}
+    samples = sum(r.n for r in problem.records)
+    out: dict[str, tuple[float, bool]] = {}
+    for name, i in place.items():
+        axis = name.removeprefix("noise.process.disturbance.")
+        if axis == name:
+            continue
+        white = place[f"noise.process.{axis}"]
+        best = np.inf
+        for louder in LOUDER:
+            still = theta.copy()
+            still[i] = max(problem.lower[i], theta[i] - SILENT)
+            high = problem.upper[white]
+            still[white] = min(max(theta[white], theta[i]) + louder, high)
+            value = problem.evaluate(still, 0)
+            best = min(best, value.likelihood if value.valid else np.inf)
+        lost = best - at.value.likelihood if np.isfinite(best) else np.inf
+        share = -np.expm1(-2 * lost / max(samples, 1))
+        out[axis] = float(lost), bool(lost > bar and share > RULES.trace)
+    return out
+
+
+def left_over(
+    flights: Flights, at: Fitted, settled: Fit, bar: float, seed: int, *, laws: bool = True
+) -> Left:
+    """What the discrepancy of the structure `at`, whose whole result is `settled`, holds."""
+    gains = axis_gains(at, bar)
+    model, data = settled.model, flights.data
+    names = wanted_features(model.dynamics)
+    lasts = {d.group: float(model.values[f"{d.name}.T"]) for d in disturbances(model.dynamics)}
+    try:
+        seen = discrepancy(model, data, names)
+    except FitError:
+        return Left(axes=())
+    found: dict[str, dict[str, Any]] = {}
+    wanted = [a for a, (_, needed) in gains.items() if needed]
+    if wanted and laws:
+        try:
+            offered = library(_white(settled, flights), model, data, names, wanted)
+            samples = sum(f.n for f in data.flights)
+            found = laws_of(offered, samples, seed, settled.parameters)
+        except GreyboxError:
+            found = {}
+    axes = tuple(
+        Axis(
+            channel=c.name,
+            unit=c.unit,
+            rms=float(np.std(seen.y[:, j])),
+            gain=gains[c.name][0],
+            needed=gains[c.name][1],
+            lasts=lasts[c.name.split(".")[0]],
+            **found.get(c.name, {}),
+        )
+        for j, c in enumerate(seen.outputs)
+    )
+    lawful = [a for a in axes if a.needed and a.lawful]
+    if not lawful:
+        return Left(axes=axes)
+    return _raced(flights, at, axes, lawful, bar)
+
+
+def _raced(
+    flights: Flights, at: Fitted, axes: tuple[Axis, ...], lawful: Sequence[Axis], bar: float
+) -> Left:
+    """The laws against the structure without them: those stay whose evidence says so."""
+    vehicle = flights.causes.model.vehicle
+    taken = tuple(e.name for e in flights.causes.model.effects)
+    effects = proposed(lawful, taken)
+    causes = [cause_of(e, vehicle) for e in effects]
+    try:
+        flights.causes = flights.causes.with_cause(*causes)
+        start = dict(at.known)
+        for cause, law in zip(causes, lawful, strict=True):
+            start |= {(f"{cause.name}.c_{i}", None): c for i, c in enumerate(law.terms.values(), 1)}
+        (written,) = flights.contest([(at.structure | {c.name for c in causes}, [start])], at)
+    except GreyboxError:
+        return Left(axes=axes)
+    if written.log_evidence < at.log_evidence + bar:
+        return Left(axes=axes)
+    values = {k[0]: v for k, v in written.known.items()}
+    by_axis = {a.channel: _refitted(a, c.name, values) for a, c in zip(lawful, causes, strict=True)}
+    return Left(axes=tuple(by_axis.get(a.channel, a) for a in axes), written=written, taken=taken)
+
+
+def _refitted(law: Axis, name: str, values: Mapping[str, float]) -> Axis:
+    """The law with the numbers of the fit that has it as the effect `name`."""
+    terms, memories = dict[str, float](), list[tuple[Memory, float] | None]()
+    for i, (text, kept) in enumerate(zip(law.terms, law.memories, strict=True), 1):
+        now = None
+        if kept is not None:
+            memory = Memory(time=values[f"{name}.time_{i}"], damping=values.get(f"{name}.damping_{i}"))
+            text, now = f"{text.rsplit(' (', 1)[0]} ({memory})", (memory, kept[1])
+        terms[text] = values[f"{name}.c_{i}"]
+        memories.append(now)
+    return replace(law, terms=terms, memories=tuple(memories))
+
+
+def _white(settled: Fit, flights: Flights) -> IdentifiedModel:
+    """The model of a fit without states of force, torque and sensors, noise levels fitted anew: a
+    filter with disturbance states takes most of a slow law for noise."""
+    dynamics = without_parts(settled.model.dynamics)
+    there = {d.name for d in dynamics.parameters}
+    values = {n: float(v) for n, v in settled.model.values.items() if n in there}
+    own = [n for n in settled.model.flight_spread if n in there]
+    return fit(
+        dynamics, flights.data, free=own, values=values, per_flight=own, initialisation="noise"
+    ).model
+
+
+def _bent(axis: str, free: Iterable[str]) -> bool:
+    """Whether the fit could bend what multiplies the rotors on this axis."""
+    return any(n.startswith(OWN[axis][1]) for n in free)
+
+
+def laws_of(
+    offered: Library, samples: int, seed: int, free: Collection[str]
+) -> dict[str, dict[str, Any]]:
+    """Axis -> what its law is made of, for axes that have one; `free` are the names of the
+    parameters that the fit had."""
+    labels = [axis for axis, _ in offered.columns]
+    own = [
+        i
+        for i, (axis, t) in enumerate(offered.columns)
+        if axis in OWN and OWN[axis][0] == t.text and _bent(axis, free)
+    ]
+    # The last columns are a constant push on every axis.
+    always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
+    groups = [*labels, *["constant"] * (len(always) - len(own))]
+    chosen = select(
+        offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed
+    )
+    kept = _merged(offered, chosen)
+    total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
+    c: dict[int, float] = {}
+    if kept:
+        c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True))
+    out: dict[str, dict[str, Any]] = {}
+    for axis, normal in offered.smoothed.items():
+        mine = [i for i in kept if labels[i] == axis]
+        if not mine:
+            continue
+        used = [offered.columns[i][1] for i in mine]
+        constant = len(labels)
+        base = [constant, *(i for i in own if labels[i] == axis)]
+        more = left_out(normal, [*base, *mine]) - left_out(normal, base)
+        whole = float(normal.yy.sum()) - left_out(normal, [constant])
+        out[axis] = {
+            "share": more / max(whole, 1e-300),
+            "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)},
+            "codes": tuple(t.code for t in used),
+            "memories": tuple(
+                (t.memory, float(np.sqrt(np.mean(t.values**2)))) if t.memory else None for t in used
+            ),
+            "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
+        }
+    return out
+
+
+def _merged(offered: Library, kept: Sequence[int]) -> list[int]:
+    """Of memories of one kind that follow one signal on one axis the first: two of the grid stand
+    for one that lies between, and a refit, whose times are free, would find that twice."""
+    seen, out = set[tuple[str, str, str]](), list[int]()
+    for i in kept:
+        axis, term = offered.columns[i]
+        if term.memory is not None:
+            key = (axis, term.code, term.memory.kind)
+            if key in seen:
+                continue
+            seen.add(key)
+        out.append(i)
+    return out

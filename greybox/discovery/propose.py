@@ -1,0 +1,308 @@
+"""Propose: what the flights would gain in evidence by every absent cause, to second order.
+
+One run of the filter per parameter (`greybox.discovery.differences`) gives the score s and the
+information V of all absent causes at the fit of a structure, with everything that is free projected
+out (Rao 1948). With a Gaussian prior of precision L about absence,
+
+    estimate = -(V + L)^-1 s,   gain = s' (V + L)^-1 s / 2 - log det(I + V L^-1) / 2,
+
+which is the whole truth for a linear model. A proposal decides nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from threadpoolctl import threadpool_limits
+
+from greybox.discovery.cause import Cause
+from greybox.discovery.differences import widened
+from greybox.discovery.evidence import Fitted, Flights, Key
+from greybox.discovery.rules import RULES
+from greybox.symbolic import FloatArray
+
+BODY = ("position", "velocity", "attitude", "rate")
+"""States of the rigid body, by the beginning of their names."""
+CLEARLY = 5.0
+"""Log evidence by which a pair must stand in for a cause better than its members to be tried."""
+DEAD = 1e-8
+"""Information on a parameter, per typical size, that is the rounding of a difference."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """Causes to add together, what they would gain in log evidence, and where to start."""
+
+    causes: tuple[str, ...]
+    gain: float
+    start: dict[Key, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """Score and information of the parameters of absent causes at a fit, nuisances projected out.
+
+    Everything is in units of the prior's standard deviation: `score` (m,), `information` (m, m),
+    `null` (m,), `sigma` (m,), `lower` and `upper` (m,) the bounds; `keys` the unknowns, `places`
+    those of every cause. `present` are the parameters of causes that the fit has: their `places`
+    come after the absent ones, with their present `value` (m,) in place of a score.
+    """
+
+    at: Fitted
+    keys: tuple[Key, ...]
+    score: FloatArray
+    information: FloatArray
+    sigma: FloatArray
+    null: FloatArray
+    value: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    places: dict[str, tuple[int, ...]]
+    absent: tuple[str, ...]
+    unscored: tuple[str, ...] = ()
+    """Causes that bring a motion which the fit does not have (a velocity that nothing measures):
+    their score would be that of a state that nobody holds, and only a fit can tell."""
+
+    def _rows(self, names: Iterable[str]) -> list[int]:
+        rows = [i for n in names for i in self.places.get(n, ())]
+        return [i for i in rows if self.information[i, i] > DEAD]
+
+    def felt(self, name: str) -> bool:
+        """Whether the flights have any sensitivity to a cause."""
+        return bool(self._rows([name]))
+
+    def solved(self, names: Iterable[str]) -> tuple[FloatArray, list[int], float]:
+        """(estimate in prior units, its rows, gain in log evidence) of absent causes together."""
+        rows = self._rows(names)
+        while rows:
+            v = self.information[np.ix_(rows, rows)]
+            m = v + np.eye(len(rows))
+            s = self.score[rows]
+            estimate = -np.linalg.solve(m, s)
+            # What would run through a bound is not there.
+            out = [
+                i
+                for i, e in zip(rows, estimate, strict=True)
+                if (e < 0 and self.null[i] <= self.lower[i])
+                or (e > 0 and self.null[i] >= self.upper[i])
+            ]
+            if not out:
+                _, logdet = np.linalg.slogdet(m)
+                return np.asarray(estimate, dtype=float), rows, float(-0.5 * s @ estimate - 0.5 * logdet)
+            rows = [i for i in rows if i not in out]
+        return np.zeros(0), [], 0.0
+
+    def gain(self, *names: str) -> float:
+        """Predicted gain in log evidence of absent causes together."""
+        return self.solved(names)[2]
+
+    def proposal(self, *names: str) -> Proposal:
+        """Absent causes with their first estimate."""
+        estimate, rows, gain = self.solved(names)
+        start = {self.keys[i]: float(self.null[i]) for n in names for i in self.places[n]}
+        for e, i in zip(estimate, rows, strict=True):
+            start[self.keys[i]] = float(
+                np.clip(self.null[i] + self.sigma[i] * e, self.lower[i], self.upper[i])
+            )
+        return Proposal(causes=tuple(names), gain=gain, start=start)
+
+    def smallest(self, name: str, bar: float, share: float) -> dict[str, float]:
+        """Per parameter of an absent cause, the size whose expected log e-value is `bar` on flights
+        with `share` of the information of these."""
+        out = {}
+        for i in self._rows([name]):
+            v = share * float(self.information[i, i])
+            needed = 2 * bar + np.log1p(v)
+            out[self.keys[i][0]] = float(self.sigma[i] * np.sqrt(needed * (v + 1)) / v)
+        return out
+
+    def instead(self, gone: str) -> list[tuple[float, tuple[str, ...], Proposal]]:
+        """For a cause that is present: (share of what its absence costs that they take over, names,
+        first estimate) of absent causes, alone and in pairs, most first."""
+        own = self._rows([gone])
+        if not own:
+            return []
+        move = (self.null[own] - self.value[own]) / self.sigma[own]
+        push = self.information[:, own] @ move
+        cost = 0.5 * float(move @ push[own])
+        found: dict[tuple[str, ...], tuple[float, Proposal]] = {}
+
+        def ask(names: tuple[str, ...]) -> float:
+            rows = self._rows(names)
+            if not rows or cost <= 0:
+                return 0.0
+            v = self.information[np.ix_(rows, rows)] + np.eye(len(rows))
+            s = push[rows] + self.score[rows]
+            estimate = -np.linalg.solve(v, s)
+            ends = self.null[rows] + self.sigma[rows] * estimate
+            inside = np.clip(ends, self.lower[rows], self.upper[rows])
+            step = (inside - self.null[rows]) / self.sigma[rows]
+            recovered = float(-s @ step - 0.5 * step @ v @ step)
+            start = {self.keys[i]: float(e) for i, e in zip(rows, inside, strict=True)}
+            found[names] = recovered / cost, Proposal(causes=names, gain=recovered, start=start)
+            return recovered / cost
+
+        singles = {n: ask((n,)) for n in self.absent}
+        best = sorted(singles, key=lambda n: -singles[n])
+        for a, b in itertools.combinations(best, 2):
+            ask((a, b))
+        rows = []
+        for names, (share, p) in found.items():
+            alone = max((singles[n] for n in names), default=0.0)
+            # A pair counts where it closes half of what the better of both leaves, and clearly.
+            if len(names) == 1 or share - alone > max(0.5 * (1 - alone), CLEARLY / cost):
+                rows.append((share, names, p))
+        return sorted(rows, key=lambda row: (-row[0], len(row[1])))
+
+    def angle(self, one: Sequence[str], other: Sequence[str]) -> float:
+        """Cosine of the smallest principal angle between the projected sensitivities of two sets of
+        causes: 1 where the flights cannot tell some member of one from one of the other."""
+        a, b = self._rows(one), self._rows(other)
+        if not a or not b:
+            return 0.0
+        left = _root(self.information[np.ix_(a, a)])
+        right = _root(self.information[np.ix_(b, b)])
+        cross = left @ self.information[np.ix_(a, b)] @ right.T
+        return float(min(np.linalg.svd(cross, compute_uv=False).max(initial=0.0), 1.0))
+
+
+def _root(v: FloatArray) -> FloatArray:
+    """Rows that whiten a covariance v, (k, m); directions without information are left out."""
+    level, directions = np.linalg.eigh(v)
+    keep = level > 1e-9 * max(level.max(initial=0.0), DEAD)
+    return np.asarray((directions[:, keep] / np.sqrt(level[keep])).T)
+
+
+def scored(flights: Flights, at: Fitted) -> Scores:
+    """Scores of all absent effects at the fit `at`. Raises `FitError` where it predicts nothing."""
+    causes = flights.causes
+    gone = [n for n in causes.effects if n not in at.structure]
+    unscored = [n for n in gone if _brings_motion(flights, at, n)]
+    absent = [n for n in gone if n not in unscored]
+    null = {p: causes.offered[n].prior[p][0] for n in absent for p in causes.offered[n].parameters}
+    late = {n for n in absent if causes.offered[n].early}
+    near = causes.built(sorted({*at.structure, *absent} - late))
+    whole = causes.built(sorted({*at.structure, *absent}))
+    with threadpool_limits(limits=1):
+        problem, theta = widened(
+            at.problem,
+            at.theta,
+            near,
+            flights.data,
+            null,
+            per_flight=causes.per_flight,
+            apart=whole if late else None,
+        )
+        value = problem.evaluate(theta)
+    assert value.gradient is not None and value.data_hessian is not None
+    unknowns = problem.unknowns
+    owner = {p: c for n, c in causes.offered.items() for p in c.parameters}
+    mine = {
+        n: tuple(i for i, u in enumerate(unknowns) if owner.get(u.name, _NONE).name == n)
+        for n in (*absent, *sorted(at.structure & set(causes.effects)))
+    }
+    chosen = [i for rows in mine.values() for i in rows]
+    rest = np.array([i for i in range(problem.n) if i not in set(chosen)], dtype=int)
+    # Of what the fit has, bounds hold some: they do not move.
+    held = np.zeros(problem.n, dtype=bool)
+    held[: at.problem.n] = at.held
+    rest = rest[~held[rest]]
+    prior = np.array([_prior(flights, u.name, u.sigma) for u in unknowns])
+    h = value.data_hessian + np.diag(np.where(np.isfinite(prior), prior, np.inf) ** -2.0)
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    unit = h / np.outer(scale, scale)
+    factor = scipy.linalg.cho_factor(unit[np.ix_(rest, rest)] + 1e-10 * np.eye(rest.size))
+    cross = unit[np.ix_(chosen, rest)]
+    solved = scipy.linalg.cho_solve(factor, cross.T)
+    v = unit[np.ix_(chosen, chosen)] - cross @ solved
+    g = value.gradient / scale
+    s = g[chosen] - g[rest] @ solved
+    sigma = prior[chosen]
+    out = np.asarray(v * np.outer(scale[chosen] * sigma, scale[chosen] * sigma) - np.eye(len(chosen)))
+    at_places, k = {}, 0
+    for n, rows in mine.items():
+        at_places[n] = tuple(range(k, k + len(rows)))
+        k += len(rows)
+    null_of = [_prior_of(flights, unknowns[i].name)[0] for i in chosen]
+    return Scores(
+        at=at,
+        keys=tuple((unknowns[i].name, unknowns[i].flight) for i in chosen),
+        score=np.asarray(s * scale[chosen] * sigma),
+        information=out,
+        sigma=sigma,
+        null=np.array(null_of),
+        value=theta[chosen],
+        lower=np.array([unknowns[i].lower for i in chosen]),
+        upper=np.array([unknowns[i].upper for i in chosen]),
+        places=at_places,
+        absent=tuple(absent),
+        unscored=tuple(unscored),
+    )
+
+
+def _brings_motion(flights: Flights, at: Fitted, name: str) -> bool:
+    """Whether a cause brings states of the rigid body that the fit does not have."""
+    have = set(at.problem.dynamics.states.names)
+    more = set(flights.causes.built(sorted({*at.structure, name})).states.names) - have
+    return any(n.split(".")[0] in BODY for n in more)
+
+
+def typical(flights: Flights, *names: str) -> Proposal:
+    """Causes with a fit from their typical size as the only test."""
+    start: dict[Key, float] = {}
+    for n in names:
+        for p, (null, sigma) in flights.causes.offered[n].prior.items():
+            start[p, None] = null + sigma / RULES.typical
+    return Proposal(causes=names, gain=0.0, start=start)
+
+
+def _prior_of(flights: Flights, name: str) -> tuple[float, float]:
+    own = flights.causes.prior_of(name)
+    assert own is not None, "it is of a cause"
+    return own
+
+
+_NONE = Cause(name="", kind="effect", parameters=(), prior={})
+
+
+def _prior(flights: Flights, name: str, sigma: float) -> float:
+    own = flights.causes.prior_of(name)
+    return sigma if own is None else own[1]
+
+
+def proposals(scores: Scores, price: float) -> list[Proposal]:
+    """Single causes and pairs, those that promise most first. A pair is proposed where it promises
+    more than its members alone: each leaves room for the other only."""
+    single = {n: scores.gain(n) for n in scores.absent if scores.felt(n)}
+    out = [scores.proposal(n) for n, gain in single.items() if gain > 0]
+    for a, b in itertools.combinations(single, 2):
+        both = scores.gain(a, b)
+        if both - price > max(single[a], 0.0) + max(single[b], 0.0):
+            out.append(scores.proposal(a, b))
+    return sorted(out, key=lambda p: -(p.gain - price * len(p.causes)))
+
+
+def unfelt(scores: Scores, flights: Flights) -> list[Proposal]:
+    """Causes that nothing can be said of alone, with what makes them felt: a wind with a drag, a
+    drag where no velocity is measured. They start from their typical size."""
+    there = scores.at.structure
+    out = []
+    for name in scores.absent:
+        cause = flights.causes.offered[name]
+        if scores.felt(name) or there & set(cause.needs):
+            continue
+        partners = [n for n in cause.needs if n in scores.absent]
+        if not partners and cause.needs:
+            continue
+        best = max(partners, key=lambda n: scores.gain(n), default=None)
+        names = (name,) if best is None else (best, name)
+        start: dict[Key, float] = {}
+        for n in names:
+            for p, (null, sigma) in flights.causes.offered[n].prior.items():
+                start[p, None] = null if n == name and best is not None else null + sigma / 3
+        out.append(Proposal(causes=names, gain=0.0, start=start))
+    return out

@@ -1,0 +1,55 @@
+"""Rules: the few numbers that decide, each with its source; and effort, which decides nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """Every number on which a verdict rests, besides the user's `alpha`."""
+
+    typical: float = 3.0
+    """Standard deviation of the prior of a cause in units of its declared typical size: weakly
+    informative (Gelman, Jakulin, Pittau and Su 2008, Annals of Applied Statistics 2(4)); a factor of
+    three in it moves log evidence by about one per parameter."""
+    trace: float = 0.02
+    """Share of the squared error, ahead or of one reading, below which a name is worth nothing: one
+    per cent of the error itself, which no flight controller feels."""
+    fastest: float = 0.1
+    """Shortest horizon [s] of what a name is worth: a control period of the outer loop."""
+    longest: float = 1.0
+    """Longest horizon [s]: what a model predictive controller of a multirotor looks ahead."""
+    law: float = 0.25
+    """Share of the unnamed force or torque, on flights that were left out, that terms must explain
+    to be called a law: half of its amplitude."""
+    colour: float = 0.02
+    """Share of a channel's innovation variance that its own past must tell before its sensor's noise
+    is offered colour."""
+
+
+RULES = Rules()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much is tried. Raising any of these finds more or the same, and costs time."""
+
+    tried: int = 3
+    """Causes, and pairs, that are refitted at every step."""
+    rivals: int = 2
+    """Causes and pairs that may stand in for a name and are refitted against it."""
+    iterations: int = 60
+    opening: int = 6
+    """Iterations after which a fit is first held against the best."""
+    rough: float = 0.1
+    """Where a fit stops that is only compared: a tenth in log evidence."""
+    exact: float = 1e-3
+    """Where the fit of a structure stops."""
+    shares: tuple[float, ...] = (1.0, 0.3, 0.1)
+    """Parts of a first estimate that are tried as starts."""
+    behind: float = 30.0
+    """Log evidence behind the best beyond which a fit is not carried on."""
+
+
+EFFORT = Effort()

@@ -1,0 +1,89 @@
+"""Worth: what a name is good for on flights, and the e-process of two forecasters.
+
+The share of the squared error that a name removes, in its best channel group and horizon, one step
+to a second ahead; the error is against measurements, so that what sensors cannot see counts for
+nothing. Physics alone foretells: the unnamed force and torque, which make up for a missing name
+after a second of flight, are set to zero at the start of every prediction.
+
+When every model is wrong a likelihood ratio tests models that nobody believes. Beside it stands the
+e-process of the hypothesis that the name does not improve what is foretold on average (Choe and
+Ramdas, Operations Research 2024, arXiv:2110.00115): the relative change of the squared error of
+every second, bounded by one, is bet on (Waudby-Smith and Ramdas 2024, JRSS B 86(1)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.discovery.gap import Foresight
+from greybox.discovery.rules import RULES
+from greybox.symbolic import FloatArray
+
+BETS = tuple(k / 10 for k in range(1, 10))
+"""Shares of the capital that are bet, mixed evenly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worth:
+    """`share` of the squared error that a name removes where it does most, in `group` at `horizon`
+    [s] (0: one sample); `log_e` of the e-process over `seconds`."""
+
+    share: float
+    group: str
+    horizon: float
+    log_e: float
+    seconds: int
+
+    @property
+    def matters(self) -> bool:
+        """Whether the name is worth anything."""
+        return self.share >= RULES.trace
+
+
+def worth(without: Foresight, named: Foresight) -> Worth:
+    """What a name removes of the errors `without` it."""
+    best = (-np.inf, "", 0.0)
+    for key, blocks in without.own.items():
+        new = named.own.get(key, [])
+        size = sum(b.size for b in blocks)
+        if not size or len(new) != len(blocks):
+            continue
+        old = sum(float(b.sum()) for b in blocks)
+        if old > 0:
+            best = max(best, (1 - sum(float(b.sum()) for b in new) / old, *key))
+    changes = seconds(without, named)
+    return Worth(
+        share=float(best[0]),
+        group=best[1],
+        horizon=best[2],
+        log_e=betting(changes),
+        seconds=int(changes.size),
+    )
+
+
+def seconds(without: Foresight, named: Foresight) -> FloatArray:
+    """Per second of flight, the relative fall of the squared error over `RULES.fastest` to
+    `RULES.longest` ahead, (old - new) / (old + new), mean over groups and horizons: within -1, 1."""
+    rows: list[FloatArray] = []
+    for (group, horizon), blocks in without.own.items():
+        new = named.own.get((group, horizon), [])
+        asked = RULES.fastest <= horizon <= RULES.longest
+        if not asked or not blocks or len(new) != len(blocks):
+            continue
+        old = np.array([b.sum() for b in blocks])
+        now = np.array([b.sum() for b in new])
+        rows.append((old - now) / np.maximum(old + now, 1e-300))
+    length = min((len(r) for r in rows), default=0)
+    if not length:
+        return np.zeros(0)
+    return np.asarray(np.mean([r[:length] for r in rows], axis=0))
+
+
+def betting(changes: FloatArray) -> float:
+    """Log e-value that the mean of `changes`, bounded by one, is above zero at some time."""
+    if not changes.size:
+        return 0.0
+    capital = np.array([np.log1p(b * changes).sum() for b in BETS])
+    return float(np.logaddexp.reduce(capital) - np.log(len(BETS)))

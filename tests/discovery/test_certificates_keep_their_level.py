@@ -1,0 +1,70 @@
+"""E-values: under any rival as the truth one beyond 1/alpha comes up in alpha of all logs at most, however many nuisances,
+and they grow with what the flights show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from greybox.discovery.certificate import Certificate, certificates
+from greybox.discovery.search import Rival
+from greybox.discovery.worth import betting
+from tests.discovery.linear_world import World, drawn, split
+
+ALPHA = 0.05
+LOGS = 600
+Truth = Mapping[str, np.ndarray]
+
+
+def certified(one: World, other: World, name: str, rivals: tuple[tuple[str, ...], ...], bar: float) -> Certificate:
+    at = one.fit({name})
+    rows = [Rival(instead=r, share=1.0, fitted=one.fit(set(r))) for r in rivals]
+    return certificates(at, {name: rows}, [split(one, other)], bar)[name]
+
+
+@pytest.mark.parametrize(
+    ("truth", "rivals"),
+    [({}, ((),)), ({"b": np.array([1.5])}, ((), ("b",))), ({"c": np.array([0.5, -0.5, 0.0])}, ((), ("c",)))],
+    ids=["nothing", "look-alike", "another"],
+)
+@pytest.mark.parametrize("bar", [np.log(1 / ALPHA), np.inf], ids=["strict", "mean"])
+def test_false_certificates_are_rare(truth: Truth, rivals: tuple[tuple[str, ...], ...], bar: float):
+    beyond = sum(
+        certified(*drawn(seed, truth), "a", rivals, bar).log_e >= np.log(1 / ALPHA) for seed in range(LOGS)
+    )
+    # 95 % of binomial draws at alpha lie below this; e-values are far below alpha in practice.
+    assert beyond <= ALPHA * LOGS + 2 * np.sqrt(ALPHA * (1 - ALPHA) * LOGS)
+
+
+def test_what_is_there_is_certified_and_more_of_it_more():
+    sizes = [np.median([certified(*drawn(s, {"a": np.array([k])}), "a", ((), ("b",)), np.inf).log_e for s in range(20)])
+             for k in (0.3, 1.0, 3.0)]  # fmt: skip
+    assert sizes[0] < sizes[1] < sizes[2]
+    assert sizes[2] > 6.0
+
+
+def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
+    one, other = drawn(3, {"a": np.array([2.0])})
+    same = {**one.columns, "twin": one.columns["a"]}, {**other.columns, "twin": other.columns["a"]}
+    one, other = (World(columns=c, shared=w.shared, y=w.y) for c, w in zip(same, (one, other), strict=True))
+    found = certified(one, other, "a", ((), ("twin",)), 6.0)
+    assert found.rivals[()] >= 6.0
+    assert found.alike(6.0) == [("twin",)]
+    assert found.against == ("twin",)
+
+
+def test_nuisances_cost_no_name():
+    """The strict e-value alone pays half a nat for every shared unknown; their mean does not."""
+    logs = [certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), np.inf).log_e for s in range(40)]
+    strict = [certified(*drawn(s, {"a": np.array([0.9])}), "a", ((),), -np.inf).log_e for s in range(40)]
+    assert np.median(logs) > np.median(strict) + 1.0
+
+
+def test_a_forecaster_that_is_no_better_wins_no_bet():
+    rng = np.random.default_rng(0)
+    won = sum(betting(np.clip(rng.normal(0.0, 0.4, 30), -1, 1)) >= np.log(1 / ALPHA) for _ in range(2000))
+    assert won <= ALPHA * 2000
+    assert betting(np.full(30, 0.3)) > np.log(1 / ALPHA)
+    assert betting(np.zeros(0)) == 0.0

@@ -1,0 +1,96 @@
+"""A name is worth something and of a size that a craft can have; otherwise it is said to be that, and is none."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+
+from greybox.discovery.certificate import Certificate
+from greybox.discovery.gap import Foresight
+from greybox.discovery.name import impossible, judged
+from greybox.discovery.rules import RULES, Rules
+from greybox.discovery.worth import seconds, worth
+from tests.discovery import small_world
+
+BAR, ALPHA = 6.0, 0.05
+
+
+def foresight(level: float, noise: float = 0.0, groups: tuple[str, ...] = ("velocity", "rotation")) -> Foresight:
+    rng = np.random.default_rng(0)
+    own = {
+        (g, h): [level * (1 + noise * rng.uniform(-1, 1)) * np.ones(20) for _ in range(12)]
+        for g in groups for h in (0.0, 0.1, 0.5)
+    }  # fmt: skip
+    return Foresight(own=own, floor={})
+
+
+def certificate(**rivals: float) -> Certificate:
+    found = {() if n == "nothing" else tuple(n.split("_")): e for n, e in rivals.items()}
+    against = min(found, key=lambda r: found[r])
+    return Certificate(name="a", log_e=found[against], against=against, rivals=found)
+
+
+def test_worth_is_the_share_of_the_squared_error_that_goes():
+    found = worth(foresight(4.0), foresight(1.0))
+    assert found.share == pytest.approx(0.75)
+    assert found.matters
+    assert found.seconds == 12
+    assert seconds(foresight(4.0), foresight(1.0)) == pytest.approx(np.full(12, 0.6))
+    assert found.log_e > np.log(1 / ALPHA)
+
+
+def test_what_is_certain_and_worth_nothing_is_a_trace():
+    little = worth(foresight(1.0), foresight(1.0 - 0.5 * RULES.trace))
+    assert not little.matters
+    assert judged(certificate(nothing=80.0), little, "", BAR, ALPHA).status == "trace"
+
+
+@pytest.mark.parametrize(
+    ("rivals", "better", "odd", "status"),
+    [
+        ({"nothing": 20.0}, 0.5, "", "certified"),
+        ({"nothing": 20.0, "b": 15.0}, 0.5, "", "certified"),
+        ({"nothing": 20.0, "b": 3.0}, 0.5, "", "one of these"),
+        ({"nothing": 20.0}, 0.5, "no craft has more", "impossible"),
+        ({"nothing": 2.0}, 0.8, "", "supported"),
+        ({"nothing": 2.0}, 0.0, "", "not certified"),
+    ],
+)
+def test_the_status_follows_from_evidence_worth_and_size(
+    rivals: dict[str, float], better: float, odd: str, status: str
+):
+    name = judged(certificate(**rivals), worth(foresight(1.0), foresight(1.0 - better)), odd, BAR, ALPHA)
+    assert name.status == status
+
+
+def test_shares_of_a_set_are_probabilities_and_follow_the_evidence():
+    name = judged(certificate(nothing=20.0, b=1.0, c_d=-5.0), worth(foresight(1.0), foresight(0.5)), "", BAR, ALPHA)
+    assert list(name.shares) == ["a", "b", "c+d"]
+    assert sum(name.shares.values()) == pytest.approx(1.0)
+    assert name.shares["c+d"] > name.shares["a"] > name.shares["b"]
+
+
+def test_a_size_that_no_craft_has_is_a_fault_of_the_data():
+    flights = small_world.damped()
+    at = flights.fit({"rotational_damping"})
+    assert impossible(at, flights, "rotational_damping") == ""
+    declared = at.problem.dynamics.parameters
+    for d in declared:
+        if d.name == "rotational_damping.d_p":
+            object.__setattr__(d, "possible", 1e-3)
+    try:
+        assert "fault of the data" in impossible(at, flights, "rotational_damping")
+    finally:
+        for d in declared:
+            object.__setattr__(d, "possible", np.inf)
+
+
+def test_decisions_rest_on_few_numbers_each_with_its_source():
+    fields = Rules.__dataclass_fields__
+    assert len(fields) <= 8
+    source = inspect.getsource(Rules)
+    for name in fields:
+        after = source.split(f"    {name}: float", 1)[1]
+        assert after.split("\n", 1)[1].lstrip().startswith('"""'), name

@@ -1,0 +1,89 @@
+"""Predicted gains and what stands in for a cause: exact where the model is linear, whatever is collinear is found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.discovery.propose import Scores, proposals
+from tests.discovery.linear_world import SIGMA, World, drawn, key, parameters
+
+
+def scores(world: World, present: Sequence[str] = ()) -> Scores:
+    """What `scored` finds, in closed form."""
+    at = world.fit(present)
+    absent = [n for n in world.columns if n not in present]
+    names = [*absent, *present]
+    x = np.column_stack([world.columns[n] for n in names])
+    out = world.shared @ np.linalg.pinv(world.shared)
+    own = np.column_stack([world.shared, *(world.columns[n] for n in sorted(present))])
+    left = x - out @ x
+    y = world.y - own @ at.theta
+    places, k = {}, 0
+    for n in names:
+        places[n] = tuple(range(k, k + world.columns[n].shape[1]))
+        k += world.columns[n].shape[1]
+    keys = [key(p) for n in names for p in parameters(n, world.columns[n].shape[1])]
+    return Scores(
+        at=at, keys=tuple(keys), score=-left.T @ y, information=left.T @ left, sigma=np.full(k, SIGMA),
+        null=np.zeros(k), value=np.array([at.known.get(q, 0.0) for q in keys]), lower=np.full(k, -np.inf),
+        upper=np.full(k, np.inf), places=places, absent=tuple(absent),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("names", [("a",), ("c",), ("a", "c"), ("a", "b", "c")])
+def test_the_predicted_gain_is_the_gain_in_evidence(names: tuple[str, ...]):
+    world, _ = drawn(2, {"a": np.array([0.8]), "c": np.array([0.3, 0.0, -0.4])})
+    exact = world.fit(names).log_evidence - world.fit(()).log_evidence
+    predicted = scores(world).proposal(*names)
+    assert predicted.gain == pytest.approx(exact, abs=1e-5)
+    assert predicted.start == pytest.approx({k: v for k, v in world.fit(names).known.items() if k[0][:2] != "b_"})
+
+
+def test_a_bound_keeps_a_cause_from_gaining_on_the_wrong_side():
+    world, _ = drawn(2, {"a": np.array([-1.5])})
+    free = scores(world)
+    assert free.gain("a") > 10
+    assert replace(free, lower=np.zeros_like(free.lower)).gain("a") == 0.0
+
+
+def test_exact_collinearity_is_found_alone_and_in_pairs():
+    world, _ = drawn(4, {"a": np.array([2.0])})
+    half = np.random.default_rng(5).standard_normal((len(world.y), 1))
+    world.columns = {**world.columns, "one": half, "rest": world.columns["a"] - half, "twin": -2 * world.columns["a"]}
+    found = {frozenset(names): share for share, names, _ in scores(world, ("a",)).instead("a")}
+    best = scores(world, ("a",)).instead("a")[0]
+    assert best[1] == ("twin",)
+    assert best[0] > 0.9
+    # Two halves together are the cause, and neither alone is.
+    assert found[frozenset({"one", "rest"})] > 0.85
+    assert found[frozenset({"one"})] < 0.6
+    assert found[frozenset({"c"})] < 0.3
+
+
+def test_principal_angles_are_one_for_the_same_and_small_for_others():
+    world, _ = drawn(4, {})
+    world.columns = {**world.columns, "twin": 3 * world.columns["a"]}
+    seen = scores(world)
+    assert seen.angle(["a"], ["twin"]) == pytest.approx(1.0)
+    assert seen.angle(["a"], ["b"]) == pytest.approx(0.8, abs=0.15)
+    assert seen.angle(["a"], ["c"]) < 0.5
+
+
+def test_pairs_are_proposed_where_each_leaves_room_for_the_other():
+    rng = np.random.default_rng(0)
+    n = 400
+    one = rng.standard_normal((n, 1))
+    two = one + 0.2 * rng.standard_normal((n, 1))
+    y = 3 * (two - one)[:, 0] + rng.standard_normal(n)
+    world = World(columns={"one": one, "two": two, "other": rng.standard_normal((n, 1))}, shared=np.ones((n, 1)), y=y)
+    best = proposals(scores(world), price=3.0)[0]
+    assert set(best.causes) == {"one", "two"}
+
+
+def test_what_would_be_certified_shrinks_with_the_flights():
+    few, many = (scores(drawn(1, {}, samples=n)[0]).smallest("a", 6.0, 0.5)["a.k_0"] for n in (60, 960))
+    assert many == pytest.approx(few / 4, rel=0.3)
