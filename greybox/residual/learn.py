@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from greybox.data import Dataset
@@ -23,15 +24,19 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
 from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
+from greybox.residual.feature_posterior import silent_features
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import Kernel, split_name
+from greybox.residual.learners import GP, Learner, learner_of
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import check_extra, train_gp
+from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
+from greybox.symbolic import evaluate
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
@@ -153,6 +158,7 @@ def learn(
     place: bool = False,
     kernel: str = "se",
     points: int | str = 50,
+    learner: str | Learner = GP,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Learned:
@@ -160,14 +166,19 @@ def learn(
 
     `features` names the inputs of the Gaussian process (default: the sets of `feature_sets` compete; with `place` also those
     of what stands in the room, which do not carry over to another room). kernel: "se",
-    "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". Raises
-    `MissingExtraError` without the extra `gp`, `UnknownNameError`, `DataError`, `ModelError`.
+    "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". `learner`: what is
+    learned, "gp" or another name of `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or
+    a `Learner`; `points` are then its features. Raises `MissingExtraError` without the extra `gp`, `UnknownNameError`,
+    `DataError`, `ModelError` (a learner that returns what is not finite, too).
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
     if isinstance(model.dynamics, HybridModel):
         raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
     split_name(kernel)
+    other = learner_of(learner) if isinstance(learner, str) else learner
+    if other is not None and points == "auto":
+        raise ModelError("points are chosen for a Gaussian process only", got=other.name, fix="give a number of points")
     if place:
         if features is not None:
             raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
@@ -182,11 +193,14 @@ def learn(
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
     whole = discrepancy(base, train, tuple(dict.fromkeys(n for names in sets.values() for n in names)))
-    found: dict[str, GPPosterior] = {}
+    found: dict[str, Candidate] = {}
     reports: list[Mapping[str, Any]] = []
     for i, (label, names) in enumerate(sets.items()):
-        say(f"marginal likelihood: {label}", 0.1 + 0.3 * i / len(sets))
+        say(f"{'marginal likelihood' if other is None else other.name}: {label}", 0.1 + 0.3 * i / len(sets))
         seen = whole.select(names)
+        if other is not None:
+            found |= {f"{label}, {n}": c for n, c in feature_candidates(other, seen, points=int(points), seed=seed).items()}
+            continue
         trained = train_gp(
             seen.z, seen.y, inputs=seen.inputs, outputs=seen.outputs, kernel=kernel, points=points, seed=seed,
             groups=seen.flights, noise_inflation=1.0, hold_out=0.25 if points == "auto" else 0.0, subset=SUBSET,
@@ -196,6 +210,9 @@ def learn(
         if any(trained.posterior.active):
             found[f"{label}, marginal likelihood"] = trained.posterior
         found[f"{label}, broad kernel"] = broad_posterior(seen, points=size, seed=seed)
+    if not found:
+        named = other.name if other else GP
+        raise ModelError(f"the learner {named} offers no features", fix="another learner, or --learner gp")
     result, chosen, gains = fit_open_loop(base, found, train, progress=lambda text, share: say(text, 0.4 + 0.4 * share))
     null = result.status == "null"
     posterior = result.posterior
@@ -213,6 +230,33 @@ def learn(
         model=final, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
         calibration=calibration, seconds=time.perf_counter() - began, training=tuple(reports),
     )  # fmt: skip
+
+
+def feature_candidates(learner: Learner, seen: Discrepancy, *, points: int, seed: int) -> dict[str, Candidate]:
+    """What a learner offers for the rows of `seen`, ready for `fit_open_loop`.
+
+    Raises `ModelError` for features that are not finite on them, or not a column.
+    """
+    centred = bool(getattr(learner, "centred", True))
+    size = np.where(seen.y.std(axis=0) > 0, seen.y.std(axis=0), 1.0)
+    spread = np.where(seen.z.std(axis=0) > 0, seen.z.std(axis=0), 1.0)
+    x = (seen.z - (seen.z.mean(axis=0) if centred else 0.0)) / spread
+    out: dict[str, Candidate] = {}
+    for label, made in learner.features(x, seen.y / size, points=points, seed=seed).items():
+        s = ca.SX.sym("x", x.shape[1])
+        column = ca.densify(ca.vcat([made(s)]))
+        if column.shape[1] != 1 or not column.numel():
+            raise ModelError(f"learner {learner.name}: {label} is no column", expected="(M, 1)", got=str(column.shape))
+        phi = ca.Function("phi", [s], [column])
+        if not np.isfinite(evaluate(phi, x)).all():
+            raise ModelError(
+                f"learner {learner.name}: {label} is not finite on the training flights",
+                expected="finite features at standardised inputs", fix="bound what it divides by or takes the root of",
+            )  # fmt: skip
+        out[label] = silent_features(
+            phi, method=learner.name, inputs=seen.inputs, outputs=seen.outputs, z=seen.z, y=seen.y, centred=centred
+        )
+    return out
 
 
 def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior:

@@ -28,7 +28,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import scipy.cluster.hierarchy
@@ -46,8 +45,15 @@ from greybox.model.parameter import Parameter
 from greybox.residual.discrepancy import feature_function
 from greybox.residual.features import features
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.posterior import GPPosterior
-from greybox.residual.sparse import safe_cholesky, variational
+from greybox.residual.weight_space import (
+    Candidate,
+    factors,
+    fitted,
+    plain_weights,
+    silent,
+    weighted,
+    whitened,
+)
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 HORIZONS = (1, 2, 5, 10, 20, 35, 50)
@@ -82,16 +88,8 @@ class WeightedHybrid(HybridModel):
         return (*self.inner.parameters, *own)
 
     def _weighted(self, x: Expr, window: Expr, p: Expr) -> Expr:
-        post = self.posterior
-        z = (features(self.inner, post.inputs.names, x, window) - post.input_mean) / post.input_scale
-        n, m = len(self.inner.parameters), post.points
-        known: dict[int, Expr] = {}
-        out = []
-        for j, kernel in enumerate(post.kernels):
-            if id(kernel) not in known:
-                known[id(kernel)] = kernel.covariance(post.support.T, z, ca)
-            out.append(post.output_scale[j] * ca.dot(p[n + j * m : n + (j + 1) * m], known[id(kernel)]))
-        return ca.vertcat(*out)
+        z = features(self.inner, self.posterior.inputs.names, x, window)
+        return weighted(self.posterior, z, p[len(self.inner.parameters) :])
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample under the weighted push."""
@@ -122,7 +120,7 @@ class OpenLoopFit:
     `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that have not seen its kind of
     flight, over that with the weights of all flights (at least 1). Empty for null."""
 
-    posterior: GPPosterior
+    posterior: Candidate
     strengths: Mapping[str, float]
     cost_before: float
     cost_after: float
@@ -133,32 +131,27 @@ class OpenLoopFit:
 
 
 class Basis:
-    """s_j psi_j(z) of a posterior's kernels and support points, along the paths of a model."""
+    """s_j psi_j(z) of a candidate (`greybox.residual.weight_space`), along the paths of a model."""
 
-    def __init__(self, model: IdentifiedModel, posterior: GPPosterior) -> None:
+    def __init__(self, model: IdentifiedModel, posterior: Candidate) -> None:
         self.posterior = posterior
         self.m, self.outputs = posterior.points, len(posterior.outputs)
         self.size = self.m * self.outputs
         self.rows = [model.dynamics.noises[n] for n in posterior.outputs.names]
         self.look = feature_function(model.dynamics, posterior.inputs.names)
-        support = posterior.support.T
-        self.factors = [safe_cholesky(k.covariance(support, support))[0] for k in posterior.kernels]
+        self.factors = factors(posterior)
 
     def weights(self, theta: FloatArray) -> FloatArray:
         """Weights of the kernel values, (P,), of whitened theta (P,)."""
-        parts = theta.reshape(self.outputs, self.m)
-        return np.concatenate([np.linalg.solve(f.T, v) for f, v in zip(self.factors, parts, strict=True)])
+        return plain_weights(self.posterior, self.factors, theta)
 
     def spread(self, states: FloatArray, windows: FloatArray) -> FloatArray:
         """d push/d theta, (m, n_out, P)."""
         post = self.posterior
         x = ((evaluate(self.look, states, windows) - post.input_mean) / post.input_scale).T
-        known: dict[int, FloatArray] = {}
         out = np.zeros((x.shape[1], self.outputs, self.size))
-        for j, kernel in enumerate(post.kernels):
-            if id(kernel) not in known:
-                known[id(kernel)] = np.linalg.solve(self.factors[j], kernel.covariance(post.support.T, x)).T
-            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * known[id(kernel)]
+        for j, psi in enumerate(whitened(post, self.factors, x)):
+            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * psi
         return out
 
 
@@ -326,7 +319,7 @@ class Paths:
 
 def fit_open_loop(
     model: IdentifiedModel,
-    candidates: Mapping[str, GPPosterior],
+    candidates: Mapping[str, Candidate],
     data: Dataset,
     *,
     horizons: Sequence[int] = HORIZONS,
@@ -360,15 +353,15 @@ def fit_open_loop(
         best = max(gains, key=lambda label: gains[label])
         chosen, gain = found[best]
         factor = _dispersion(parts[best], _folds(owners), bases[best], chosen)
-        fitted, theta = _iterate(
+        result, theta = _iterate(
             paths, bases[best], parts[best], chosen, factor, gain, iterations,
             lambda text, s: say(text, 0.6 + 0.3 * s),
         )  # fmt: skip
-        if fitted.status != "null":
+        if result.status != "null":
             say("errors of kinds of flight left out", 0.9)
             del parts
-            fitted = replace(fitted, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
-    return fitted, best, gains
+            result = replace(result, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
+    return result, best, gains
 
 
 def _iterate(
@@ -382,7 +375,7 @@ def _iterate(
     prior = np.repeat(chosen, basis.m)[on]
     if not on.any():
         null = OpenLoopFit(
-            posterior=_silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
+            posterior=silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
             held_out_gain=0.0, iterations=0, status="null",
         )  # fmt: skip
         return null, np.zeros(basis.size)
@@ -414,11 +407,11 @@ def _iterate(
             parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
     paths.extra = basis.weights(theta)
     hessian = _total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
-    fitted = OpenLoopFit(
-        posterior=_posterior(basis, theta, hessian, chosen, factor), strengths=strengths, cost_before=before,
+    found = OpenLoopFit(
+        posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor), strengths=strengths, cost_before=before,
         cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
     )  # fmt: skip
-    return fitted, theta
+    return found, theta
 
 
 def _left_out(
@@ -541,36 +534,9 @@ def _dispersion(
     return out
 
 
-def _posterior(
-    basis: Basis, theta: FloatArray, hessian: FloatArray, prior: FloatArray, factor: FloatArray
-) -> GPPosterior:
-    """Plain numbers of the fitted process; an output that is off keeps nothing.
-
-    A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the
-    data is that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.
-    """
-    post, m = basis.posterior, basis.m
-    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    weights, explained, uncertain = (np.zeros_like(a) for a in (post.weights, post.explained, post.uncertain))
-    scale = post.output_scale.copy()
-    for j in range(basis.outputs):
-        if not np.isfinite(prior[j]):
-            continue
-        rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j] / factor[j])
-        root = np.asarray(np.linalg.cholesky(_symmetric(covariance[rows, rows])), dtype=np.float64)
-        numbers = variational(post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * root)
-        weights[:, j], explained[j], uncertain[j] = numbers.weights, numbers.explained, numbers.uncertain
-        scale[j] /= size
-    return replace(
-        post, method="svgp", weights=weights, explained=explained, uncertain=uncertain, output_scale=scale,
-        output_mean=np.zeros(basis.outputs), variance_factor=(),
-    )  # fmt: skip
+def _inverse(hessian: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(hessian), dtype=np.float64)
 
 
 def _symmetric(a: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (a + np.swapaxes(a, -1, -2)))
-
-
-def _silent(posterior: GPPosterior) -> GPPosterior:
-    zero = {k: np.zeros_like(getattr(posterior, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
-    return replace(posterior, **zero)
