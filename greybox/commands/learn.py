@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.validation.validate import validate
 
     quiet = arguments.json == "-"
-    check_extra()
+    if arguments.learner == "gp":
+        check_extra()
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     points: int | str = arguments.points

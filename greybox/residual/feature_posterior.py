@@ -98,7 +98,8 @@ class FeaturePosterior:
         for name in wanted - {*QUANTITIES, "distances"}:
             raise UnknownNameError("quantity of a learned part", name, (*QUANTITIES, "distances"))
         x = (ca.reshape(z, len(self.inputs), 1) - self.input_mean) / self.input_scale
-        phi, slope = self._phi_and_slope(x)
+        slopes = wanted & {"mean_jacobian", "variance_jacobian"}
+        phi, slope = self._phi_and_slope(x) if slopes else (self.phi(x), ca.DM())
         own = ca.DM(self.weights) if weights is None else weights
         spread = [ca.sparsify(ca.DM(f)) @ phi for f in self.root]
         on = [i for i, a in enumerate(self.active) if a]
@@ -120,12 +121,8 @@ class FeaturePosterior:
             out["distance"] = ca.mmax(ca.vertcat(*(shares[i] for i in on))) if on else ca.DM(1.0)
         return {n: out[n] for n in wanted}
 
-    def _phi_and_slope(self, x: Expr) -> tuple[Expr, Expr]:
-        phi, slope = self._both(x)
-        return phi, slope
-
     @cached_property
-    def _both(self) -> Any:
+    def _phi_and_slope(self) -> Any:
         x = ca.SX.sym("x", len(self.inputs))
         phi = ca.densify(self.phi(x))
         return ca.Function("phi", [x], [phi, ca.densify(ca.jacobian(phi, x))])
@@ -154,6 +151,14 @@ class FeaturePosterior:
         )  # fmt: skip
         n = len(self.outputs)
         return both[:, :n].copy(), both[:, n:] + (self.noise if noise else 0.0)
+
+    def at_home(self, z: FloatArray) -> FeaturePosterior:
+        """The same, knowing which `distance` is usual at its training inputs z (N, n_in)."""
+        symbol = ca.MX.sym("z", len(self.inputs))
+        far = ca.Function("far", [symbol], [self.expressions(symbol, ("distance",))["distance"]])
+        seen = evaluate(far, np.ascontiguousarray(z)).ravel()
+        usual = tuple(float(v) for v in np.quantile(seen, [0.5, 0.95, 0.99, 1.0]))
+        return replace(self, domain=replace(self.domain, distance=(usual[0], usual[1], usual[2], usual[3])))
 
     def with_spread(self, factor: float) -> FeaturePosterior:
         """The same mean with `factor` > 0 times the standard deviation."""
@@ -193,15 +198,13 @@ class FeaturePosterior:
 
 
 def silent_features(
-    phi: Any, *, method: str, inputs: Layout, outputs: Layout, z: FloatArray, y: FloatArray, centred: bool = True
-) -> FeaturePosterior:
-    """Features ready for `fit_open_loop`, their weights still zero. z (N, n_in) and y (N, n_out) as in `Discrepancy`."""
-    mean, scale = (z.mean(axis=0) if centred else np.zeros(z.shape[1])), z.std(axis=0)
-    size = y.std(axis=0)
-    m, n_out = phi.numel_out(0), y.shape[1]
-    size = np.where(size > 0, size, 1.0)
+    phi: Any, *, method: str, inputs: Layout, outputs: Layout, input_mean: FloatArray, input_scale: FloatArray,
+    output_scale: FloatArray, domain: Domain,
+) -> FeaturePosterior:  # fmt: skip
+    """Features ready for `fit_open_loop`, their weights still zero."""
+    m, n_out = phi.numel_out(0), len(outputs)
     return FeaturePosterior(
-        inputs=inputs, outputs=outputs, method=method, phi=phi, input_mean=mean, input_scale=np.where(scale > 0, scale, 1.0),
-        output_scale=size, weights=np.zeros((m, n_out)), root=np.zeros((n_out, m, m)), prior=np.ones(n_out), noise=size**2,
-        domain=Domain(lower=z.min(axis=0), upper=z.max(axis=0), samples=len(z)),
+        inputs=inputs, outputs=outputs, method=method, phi=phi, input_mean=input_mean, input_scale=input_scale,
+        output_scale=output_scale, weights=np.zeros((m, n_out)), root=np.zeros((n_out, m, m)), prior=np.ones(n_out),
+        noise=output_scale**2, domain=domain,
     )  # fmt: skip

@@ -20,6 +20,13 @@ Candidate = GPPosterior | FeaturePosterior
 """A learned part whose features are chosen and whose weights are open."""
 
 
+def learned_numbers(post: Candidate) -> int:
+    """How many numbers were learned: weights, and of a Gaussian process its support points and hyper-parameters."""
+    if isinstance(post, FeaturePosterior):
+        return int(post.weights.size)
+    return int(post.support.size + post.weights.size) + len(post.outputs) * (len(post.inputs) + 2)
+
+
 def factors(post: Candidate) -> list[FloatArray]:
     """L_j per output; nothing of features, which are white already."""
     if isinstance(post, FeaturePosterior):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
-
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual.learners.learner import Features, Learner
 from greybox.residual.learners.neural import NeuralLastLayer
@@ -14,7 +12,9 @@ from greybox.residual.learners.sparse_law import SparseLaw
 __all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_of"]
 
 GP = "gp"
-LEARNERS: dict[str, type[Any]] = {c.name: c for c in (RandomFeatures, NeuralLastLayer, SparseLaw)}
+LEARNERS: dict[str, type[RandomFeatures] | type[NeuralLastLayer] | type[SparseLaw]] = {
+    c.name: c for c in (RandomFeatures, NeuralLastLayer, SparseLaw)
+}
 
 
 def learner_of(name: str) -> Learner | None:
@@ -25,7 +25,7 @@ def learner_of(name: str) -> Learner | None:
     if name == GP:
         return None
     if name in LEARNERS:
-        return LEARNERS[name]()  # type: ignore[no-any-return]
+        return LEARNERS[name]()
     if ".py:" not in name:
         raise UnknownNameError("learner", name, (GP, *LEARNERS))
     from greybox.model.own_model import run_program

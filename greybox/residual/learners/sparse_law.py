@@ -8,6 +8,7 @@ PNAS 113(15)). The terms that stay are the features; several thresholds compete 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -32,27 +33,35 @@ class SparseLaw:
     """Inputs are scaled but not shifted."""
 
     def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
-        """One candidate per threshold under which other terms stay."""
+        """One candidate per threshold."""
         terms = _library(x.shape[1])
         columns = np.stack([np.asarray(t(list(x.T))) * np.ones(len(x)) for t in terms], axis=1)
         spread = np.where(columns.std(axis=0) > 0, columns.std(axis=0), 1.0)
         out: dict[str, Features] = {}
-        seen: set[tuple[int, ...]] = set()
         for threshold in THRESHOLDS:
             kept = _kept(columns / spread, y, threshold, points)
-            if kept and kept not in seen:
-                seen.add(kept)
-                out[f"law of {len(kept)} terms"] = _law([terms[i] for i in kept], spread[list(kept)])
+            if kept:
+                out[f"law, threshold {threshold:g}"] = _law([terms[i] for i in kept], spread[list(kept)])
         return out
 
 
 def _library(n: int) -> list[Term]:
     """All terms of n inputs."""
-    out: list[Term] = [lambda x: 0 * x[0] + 1.0]
-    out += [lambda x, i=i: x[i] for i in range(n)]
-    out += [lambda x, i=i, j=j: x[i] * x[j] for i, j in itertools.combinations_with_replacement(range(n), 2)]
-    out += [lambda x, i=i: x[i] * (x[i] * x[i] + 1e-6) ** 0.5 for i in range(n)]
-    return out
+    pairs = itertools.combinations_with_replacement(range(n), 2)
+    return [_one, *(_power(i) for i in range(n)), *(_power(i, j) for i, j in pairs), *(_drag(i) for i in range(n))]
+
+
+def _one(x: Sequence[Any]) -> Any:
+    return 0 * x[0] + 1.0
+
+
+def _power(*which: int) -> Term:
+    return lambda x: math.prod(x[i] for i in which)
+
+
+def _drag(i: int) -> Term:
+    """x_i |x_i|, smooth at zero."""
+    return lambda x: x[i] * (x[i] * x[i] + 1e-6) ** 0.5
 
 
 def _kept(columns: FloatArray, y: FloatArray, threshold: float, most: int) -> tuple[int, ...]:
