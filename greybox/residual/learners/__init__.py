@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual.learners.learner import Features, Learner
 from greybox.residual.learners.neural import NeuralLastLayer
