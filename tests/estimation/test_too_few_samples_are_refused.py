@@ -1,4 +1,4 @@
-"""A fit of fewer samples than unknowns is refused, standard errors of few are doubted; another place is no new domain where nothing feels it."""
+"""A fit of fewer samples than unknowns is refused, and the errors of few are doubted."""
 
 from __future__ import annotations
 
