@@ -12,6 +12,7 @@ import json
 import math
 import os
 import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ LARGEST_JSON = 128 * 2**20
 """Bytes of a JSON file that is read; the model of 1000 support points and six outputs has about 120 MB."""
 MOST_CONTAINERS, MOST_QUOTES = 300_000, 4_000_000
 """Arrays and objects, and quotation marks, of a JSON file: they cost more memory than their characters suggest."""
+LARGEST_TOML, MOST_DOTS = 2**18, 200
+"""Bytes of a TOML file, and dots in one line of it: the cost of a dotted key grows with its square."""
 
 
 class OutputError(GreyboxError, OSError):
@@ -150,6 +153,45 @@ def read_json(path: str | os.PathLike[str], *, schema: str | None = None) -> dic
             fix=_instead(Path(path).parent, schema),
         )  # fmt: skip
     return value
+
+
+def read_toml(
+    path: str | os.PathLike[str], *, what: str, error: type[GreyboxError], largest: int = LARGEST_TOML
+) -> dict[str, Any]:
+    """Read the TOML of a stranger; `what` it is meant to be ("vehicle file").
+
+    Raises `error` for a missing file, text that is not TOML, nested too deeply, or over the limits
+    of this module.
+    """
+    where = str(path)
+    try:
+        text = read_limited(path, largest).decode("utf-8-sig").replace("\r\n", "\n")
+        if any(line.count(".") > MOST_DOTS for line in text.split("\n")):
+            fix = "give one value a line"
+            raise error(f"a line with more than {MOST_DOTS} dots", where=where, fix=fix)
+        return tomllib.loads(text)
+    except FileFormatError:
+        message = f"more than {largest // 1024} KiB"
+        raise error(message, where=where, fix=f"pass a {what}, not a log") from None
+    except FileNotFoundError:
+        raise error(f"no such {what}", where=where, fix="check the path") from None
+    except IsADirectoryError:
+        fix = "pass the .toml file in it"
+        raise error(f"a folder, not a {what}", where=where, fix=fix) from None
+    except UnicodeDecodeError:
+        fix = "pass a TOML file saved as UTF-8"
+        raise error("not a text file", where=where, fix=fix) from None
+    except OSError as cause:
+        message = f"cannot read: {cause.strerror or cause}"
+        raise error(message, where=where, fix="check the path") from None
+    except RecursionError:
+        fix = f"pass a {what}"
+        raise error("not valid TOML: nested too deeply", where=where, fix=fix) from None
+    except ValueError as cause:  # besides its own, tomllib lets those of numbers and dates through
+        if isinstance(cause, error):
+            raise
+        fix = "correct the line that is named"
+        raise error(f"not valid TOML: {cause}", where=where, fix=fix) from None
 
 
 def _instead(folder: Path, schema: str | None) -> str:

@@ -51,13 +51,14 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import learned_push_of, physics_of
 from greybox.model.linear import LinearModel
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 from mpc_export.dense import cholesky, cholesky_solve
 from mpc_export.innovation_form import SampledForm
 from mpc_export.noise import Noise, identified_noise, innovation_noise, parameter_covariance
-from mpc_export.predictors import Fitted, Learned, PredictorModel, predictor_model
+from mpc_export.predictors import Fitted, Learned, NetworkPart, PredictorModel, predictor_model
 from mpc_export.sampled import Sampled, at_sample_time, is_discrete
 from mpc_export.target import target_function, tracked
 
@@ -180,12 +181,12 @@ class _Builder:
         self.weights = WEIGHTS in runtime
         if self.weights and self.posterior is None:
             raise ModelError(f"no learned part, so no {WEIGHTS} to change at run time")
-        if self.weights and not isinstance(self.posterior, GPPosterior):
-            raise ModelError(f"{WEIGHTS} cannot change at run time here", expected="a GP that greybox trained")
+        if self.weights and not isinstance(self.posterior, (GPPosterior, FeaturePosterior)):
+            raise ModelError(f"{WEIGHTS} cannot change at run time here", expected="a learned part of `greybox learn`")
         self.theta_names, self.theta_covariance = parameter_covariance(model)
         # What an output hybrid did not learn keeps the prior's variance, as in its own predictions.
         self.silent = not isinstance(model, PredictorModel)
-        self.prefix = "network" if self.posterior is not None and self.posterior.method == "lstm" else "gp"
+        self.prefix = "network" if isinstance(self.posterior, NetworkPart) else "gp"
         values = (
             dict(model.values) if isinstance(model, IdentifiedModel) else {d.name: d.nominal for d in dynamics.parameters}
         )
@@ -617,7 +618,7 @@ class _Builder:
         else:
             state, inputs = self.model.reference_state, self.model.reference_inputs
         x, u, p = self.sampled.extended(state, inputs)
-        if self.weights and isinstance(self.posterior, GPPosterior):
+        if self.weights and isinstance(self.posterior, (GPPosterior, FeaturePosterior)):
             p = np.concatenate([p, self.posterior.weights.ravel(order="F")])
         return x, u, p
 
@@ -692,7 +693,9 @@ def _name(builder: _Builder) -> str:
     if isinstance(builder.model, PredictorModel):
         return builder.model.name
     own = builder.sampled.dynamics.name
-    return own if builder.posterior is None else f"{own} + GP"
+    if builder.posterior is None:
+        return own
+    return f"{own} + {builder.posterior.method if isinstance(builder.posterior, FeaturePosterior) else 'GP'}"
 
 
 def _bounds(builder: _Builder) -> tuple[FloatArray, FloatArray]:

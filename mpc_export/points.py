@@ -17,6 +17,7 @@ from scipy.linalg import solve_triangular
 from greybox.errors import ModelError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.sparse import safe_cholesky, variational
@@ -38,6 +39,11 @@ def with_points(
     if not isinstance(model, IdentifiedModel) or not isinstance(model.dynamics, HybridModel):
         raise ModelError("--points needs a model with a learned part", got=model.name, fix="leave --points out")
     old = model.dynamics.posterior
+    if isinstance(old, FeaturePosterior):
+        raise ModelError(
+            "--points takes support points of a Gaussian process away", got=f"the learner {old.method}",
+            fix="leave --points out here, and give fewer --points to `greybox learn`",
+        )  # fmt: skip
     if points >= old.points:
         return model, None
     new = reduced(old, points)

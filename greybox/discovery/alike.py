@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.experiment import separating_manoeuvre
 from greybox.discovery.name import Name
 from greybox.errors import GreyboxError
+from greybox.planning.experiment import separating_manoeuvre
 
 EXACT = 1e-3
 """Difference in log likelihood below which two structures say the same thing with other words: no

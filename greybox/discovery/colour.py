@@ -40,26 +40,22 @@ def innovations_of(at: Fitted) -> dict[str, ChannelWhiteness]:
     return {c.name: c for c in test.channels}
 
 
-def sensor_proposals(at: Fitted, causes: Causes) -> list[list[Cause]]:
-    """Two ways to say what is not white: colour of every sensor whose innovations are clearly not,
-    and a low-pass of those that firmware filters with colour of the others; none where all are."""
+def sensor_proposals(at: Fitted, causes: Causes) -> list[Cause]:
+    """Colour of every sensor whose innovations are clearly not white, and a low-pass of those that
+    firmware filters: what neither needs costs next to nothing in evidence. None where all are."""
     physics = physics_of(at.problem.dynamics)
     assert physics is not None
     tested = innovations_of(at)
-    names = []
+    parts: list[SensorPart] = []
     for sensor in physics.sensors:
         own = [s.name for s in sensor.innovation_signals(physics.vehicle)]
         told = [tested[n] for n in own if n in tested]
         clear = [c.predictable for c in told if c.test.p_value < CLEARLY / len(tested)]
         if max(clear, default=0.0) > RULES.colour:
-            names.append(sensor.name)
-    coloured: list[SensorPart] = [Coloured(sensor=n) for n in names]
-    filtered: list[SensorPart] = [
-        LowPass(sensor=n) if n in FILTERED else Coloured(sensor=n) for n in names
-    ]
-    ways = [coloured] + ([filtered] if set(names) & set(FILTERED) else [])
-    found = [[sensor_cause(p, causes.model) for p in w if p.name not in at.structure] for w in ways]
-    return [w for w in found if w]
+            parts.append(Coloured(sensor=sensor.name))
+            if sensor.name in FILTERED:
+                parts.append(LowPass(sensor=sensor.name))
+    return [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure]
 
 
 def sensor_table(found: Fit) -> list[dict[str, Any]]:

@@ -190,7 +190,12 @@ class Flights:
         new = [(s, tuple(starts)) for s, starts in asked if s not in self._known]
         self.prepare(s for s, _ in new)
         opened = [Task(structure=s, starts=t, tolerance=e.rough, iterations=e.opening) for s, t in new]
-        self._carried_out(opened)
+        if len(opened) == 1:  # a start again loses what the solver learned
+            reach = than.value.likelihood + e.behind
+            whole = replace(opened[0], tolerance=e.exact, iterations=e.iterations, target=reach)
+            self._carried_out([whole], exact=True)
+        else:
+            self._carried_out(opened)
 
         def found() -> list[Fitted]:
             return [self._known[s] for s, _ in asked]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.discovery.rules import RULES
-from greybox.discovery.terms import Memory
+from greybox.residual.laws.terms import Memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

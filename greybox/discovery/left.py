@@ -2,7 +2,7 @@
 
 Every structure carries force and torque as Gauss-Markov states. An axis whose state the flights need
 next to all names holds something: how large it is, how long it lasts and, where terms of a small
-library (greybox.discovery.terms) explain it on flights that were left out, the law. A law is written
+library (greybox.residual.laws.terms) explain it on flights that were left out, the law. A law is written
 as an effect file and enters the race as any other cause: it stays where the evidence says so.
 """
 
@@ -18,16 +18,16 @@ from greybox.discovery.cause import cause_of
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.law import Axis
 from greybox.discovery.proposal import proposed
-from greybox.discovery.responses import Library, library
 from greybox.discovery.rules import RULES
-from greybox.discovery.selection import left_out, select, solve
-from greybox.discovery.terms import Memory, wanted_features
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.fit import Fit, fit
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import with_physics
 from greybox.model.noise import disturbances, without_parts
 from greybox.residual.discrepancy import discrepancy
+from greybox.residual.laws.responses import Library, library
+from greybox.residual.laws.selection import left_out, select, solve
+from greybox.residual.laws.terms import Memory, wanted_features
 
 TERMS = 6
 """Terms of an axis, at most."""

@@ -1,6 +1,6 @@
 """Propose: what the flights would gain in evidence by every absent cause, to second order.
 
-One run of the filter per parameter (`greybox.discovery.differences`) gives the score s and the
+One run of the filter per parameter (`greybox.estimation.differences`) gives the score s and the
 information V of all absent causes at the fit of a structure, with everything that is free projected
 out (Rao 1948). With a Gaussian prior of precision L about absence,
 
@@ -20,9 +20,9 @@ import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from greybox.discovery.cause import Cause
-from greybox.discovery.differences import widened
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.rules import RULES
+from greybox.estimation.differences import widened
 from greybox.symbolic import FloatArray
 
 BODY = ("position", "velocity", "attitude", "rate")

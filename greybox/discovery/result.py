@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.gap import GapRow
 from greybox.discovery.law import Axis
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
@@ -18,6 +17,7 @@ from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.validation.gap import GapRow
 
 SCHEMA = "greybox.discovery/2"
 WITH_LAWS = "model_with_laws.json"
@@ -57,6 +57,7 @@ class Discovery:
     separating: Mapping[str, Mapping[str, Any] | None] = field(default_factory=dict)
     steps: tuple[Mapping[str, Any], ...] = ()
     sensors: tuple[Mapping[str, Any], ...] = ()
+    base: tuple[str, ...] = ()
     plain: IdentifiedModel | None = None
     lawful: IdentifiedModel | None = None
 
@@ -160,6 +161,7 @@ class Discovery:
                 n.to_dict() | {"reason": n.reason} for n in self.said("not certified")
             ],
             "model_with_laws": None if self.lawful is None else WITH_LAWS,
+            "base": [{"name": n, "parameters": self._parameters(n)} for n in self.base if fitted],
             "sensors": [dict(s) for s in self.sensors],
             "locations": self.locations(),
             "steps": [dict(s) for s in self.steps],
@@ -216,6 +218,8 @@ class Discovery:
         lines += [
             f"  not certified: {n.name} ({n.reason})" for n in self.said("not certified")
         ]
+        if self.base:
+            lines.append(f"  in every model: {', '.join(self.base)}")
         for kind in dict.fromkeys(s["kind"] for s in self.sensors if s["kind"] != "white"):
             channels = [s["channel"] for s in self.sensors if s["kind"] == kind]
             lines.append(f"  sensors: {kind} in {', '.join(channels)}")

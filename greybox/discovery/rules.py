@@ -44,7 +44,7 @@ class Effort:
     """Iterations after which a fit is first held against the best."""
     rough: float = 0.1
     """Where a fit stops that is only compared: a tenth in log evidence."""
-    exact: float = 1e-3
+    exact: float = 1e-2
     """Where the fit of a structure stops."""
     shares: tuple[float, ...] = (1.0, 0.3, 0.1)
     """Parts of a first estimate that are tried as starts."""

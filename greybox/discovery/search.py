@@ -83,29 +83,44 @@ class Search:
 
     def _add(self, at: Fitted) -> Fitted | None:
         """The structure with one cause, or several, more; or with noise of the sensors."""
+        coloured = self._best(at, self.flights.contest(self._sensors(at), at))
+        if coloured is not None:  # under white noise everything bends into the first candidates
+            return coloured
         scores = self.scores = scored(self.flights, at)
-        offered = self._sensors(at)
+        best = None
         if len(self.named(at.structure)) < self.most:
-            promising = [p for p in proposals(scores, self.price) if p.gain > 0]
-            chosen = promising[: self.flights.effort.tried]
-            together = self._together(scores)
-            if together is not None:
-                chosen.insert(0, together)
-            chosen += [typical(self.flights, n) for n in scores.unscored]
-            offered += self._moves(at, chosen)
-        best = self._best(at, self.flights.contest(offered, at), scores)
+            best = self._tried(at, scores)
         if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
             # What is not felt alone can only explain what is there and has no name.
             moves = self._moves(at, unfelt(scores, self.flights))
             best = self._best(at, self.flights.contest(moves, at), scores)
         return best
 
+    def _tried(self, at: Fitted, scores: Scores) -> Fitted | None:
+        """The best of what promises most: all that still gain next to each other, then single causes
+        and pairs, until what one gained is more than the next promises."""
+        together = self._together(scores)
+        promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
+        chosen = ([together] if together else []) + promising[: self.flights.effort.tried]
+        unscored = self._moves(at, [typical(self.flights, n) for n in scores.unscored])
+        fits = self.flights.contest(unscored, at)
+        for p in chosen:
+            gained = max((self.score(f) - self.score(at) for f in fits), default=0.0)
+            if gained > 0 and gained >= self._net(p):
+                break
+            fits += self.flights.contest(self._moves(at, [p]), at)
+        return self._best(at, fits, scores)
+
+    def _net(self, p: Proposal) -> float:
+        """What a proposal promises, less the price of its causes."""
+        return p.gain - self.price * len(p.causes)
+
     def _sensors(self, at: Fitted) -> list[Move]:
-        """Colour, or a filter, of sensors whose innovations are not white."""
-        ways = sensor_proposals(at, self.flights.causes)
-        self.flights.causes = self.flights.causes.with_cause(*(c for way in ways for c in way))
-        wanted = [at.structure | {c.name for c in way} for way in ways]
-        return [(s, [at.known]) for s in wanted if self._new(at, s)]
+        """Colour and filters of the sensors whose innovations are not white."""
+        parts = sensor_proposals(at, self.flights.causes)
+        self.flights.causes = self.flights.causes.with_cause(*parts)
+        wanted = at.structure | {p.name for p in parts}
+        return [(wanted, [at.known])] if self._new(at, wanted) else []
 
     def _together(self, scores: Scores) -> Proposal | None:
         """All causes that still gain next to those before them, most first."""
@@ -153,7 +168,8 @@ class Search:
         """The structure without causes that are not worth their price; None where all are."""
         found, now = None, at
         while True:
-            doubted = [n for n in sorted(now.structure) if self._doubted(now, n)]
+            added = now.structure - self.flights.causes.base
+            doubted = [n for n in sorted(added) if self._doubted(now, n)]
             wanted = [
                 (now.structure - {n}, [_without(now, self.flights, n)])
                 for n in doubted
@@ -179,12 +195,13 @@ class Search:
         return self._best(at, found)
 
     def contest(self, at: Fitted) -> dict[str, list[Rival]]:
-        """Every named cause of `at` against what could stand in its place, and against nothing."""
+        """Every cause of `at` beyond those of the base against what could stand in its place, and
+        against nothing."""
         scores = self.scores
         if scores is None or scores.at is not at:
             scores = self.scores = scored(self.flights, at)
         self.rivals = {}
-        for name in self.named(at.structure):
+        for name in self.named(at.structure - self.flights.causes.base):
             left = at.structure - {name}
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]

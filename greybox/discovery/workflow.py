@@ -21,7 +21,6 @@ from greybox.discovery.cause import Causes, offer, since
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.colour import sensor_table
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.gap import Foresight, foresee, gap, outgrown
 from greybox.discovery.lead import led
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, impossible, judged
@@ -35,6 +34,7 @@ from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.validation.gap import Foresight, foresee, gap, outgrown
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -248,6 +248,7 @@ class _Run:
             separating=said,
             steps=tuple(search.steps),
             sensors=tuple(sensor_table(found)),
+            base=tuple(sorted(causes.base)),
             lawful=lawful,
         )
 
@@ -299,8 +300,9 @@ class _Run:
             odd = impossible(at, self.flights, name)
             names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
         keep = {"certified", "supported", "one of these"} | ({"trace"} if self.options.trace else set())
-        base = self.flights.causes.base
-        gone = {n.name for n in names if n.status not in keep and n.name not in base}
+        doubts = [impossible(at, self.flights, n) for n in sorted(self.flights.causes.base)]
+        self.warnings += [doubt for doubt in doubts if doubt]
+        gone = {n.name for n in names if n.status not in keep}
         if not gone:
             return names, at
         return names, self.flights.fit(at.structure - gone, [at.known])

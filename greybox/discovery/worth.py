@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.discovery.gap import Foresight
 from greybox.discovery.rules import RULES
 from greybox.symbolic import FloatArray
+from greybox.validation.gap import Foresight
 
 BETS = tuple(k / 10 for k in range(1, 10))
 """Shares of the capital that are bet, mixed evenly."""

@@ -49,7 +49,7 @@ class Problem:
 
     `base` (n_p) are the values of all model parameters where they are not unknowns, `process_level`
     (n_w) and `sensor_level` (n_e) the noise levels where they are not. `thresholds` are parameters
-    that are felt of a larger step only (greybox.discovery.differences). `spreads` (n_d) per record
+    that are felt of a larger step only (greybox.estimation.differences). `spreads` (n_d) per record
     are the standard deviations of the initial errors that the predictor's filter carries, zero
     where they are unknowns; None: its filter runs as if it always had.
     """

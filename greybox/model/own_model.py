@@ -37,19 +37,8 @@ def load_own_model(program: str) -> StateSpaceModel:
     Raises `ModelError` (no such file or name, what the program raises, another result),
     `UnknownNameError`.
     """
+    made = run_program(program)
     path, _, name = program.rpartition(":")
-    if not path or not name.isidentifier():
-        raise ModelError(
-            "no function named",
-            where=program,
-            expected="FILE.py:FUNCTION",
-            fix="--model-file own.py:build",
-        )
-    module = _module(path)
-    made = vars(module).get(name)
-    if made is None:
-        known = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
-        raise UnknownNameError("name", name, known, where=path)
     if not isinstance(made, StateSpaceModel):
         if not callable(made):
             raise ModelError(
@@ -68,6 +57,24 @@ def load_own_model(program: str) -> StateSpaceModel:
             expected="a greybox.StateSpaceModel",
             fix="see docs/own_model.md",
         )
+    return made
+
+
+def run_program(program: str) -> object:
+    """What "FILE.py:NAME" names after the file was run. Raises `ModelError`, `UnknownNameError`."""
+    path, _, name = program.rpartition(":")
+    if not path or not name.isidentifier():
+        raise ModelError(
+            "no function named",
+            where=program,
+            expected="FILE.py:FUNCTION",
+            fix="--model-file own.py:build",
+        )
+    module = _module(path)
+    made: object = vars(module).get(name)
+    if made is None:
+        known = [k for k, v in vars(module).items() if callable(v) and not k.startswith("_")]
+        raise UnknownNameError("name", name, known, where=path)
     return made
 
 

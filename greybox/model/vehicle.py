@@ -13,7 +13,6 @@ import difflib
 import math
 import os
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -22,8 +21,8 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.data.channel import TIME, ColumnSpec, canonical_names, is_canonical, rotor_index
-from greybox.errors import FileFormatError, UnknownNameError, VehicleError
-from greybox.files import read_limited
+from greybox.errors import UnknownNameError, VehicleError
+from greybox.files import read_toml
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
 from greybox.model.toml_table import TomlTable, describe
@@ -46,9 +45,8 @@ many letters it may be longer or shorter then: "giro" is 0.75 like "gyro"; "baro
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 
-LARGEST_FILE, MOST_DOTS, MOST_ROTORS = 2**18, 200, 64
-"""Bytes of a vehicle file, dots in one line of it (the cost of a dotted key grows with its square),
-and rotors."""
+MOST_ROTORS = 64
+"""Rotors of a vehicle file."""
 TRIANGLE_SLACK = 0.05
 """Relative slack of the triangle inequality of inertia (values come from rounded tables)."""
 
@@ -259,44 +257,8 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     wrong type, inertia that no body can have, zero mass, no rotor, u_min >= u_max, negative sigma;
     `UnknownNameError` for a key that is not known, with the nearest names.
     """
-    where = str(path)
-    try:
-        text = read_limited(path, LARGEST_FILE).decode("utf-8-sig").replace("\r\n", "\n")
-        if any(line.count(".") > MOST_DOTS for line in text.split("\n")):
-            raise VehicleError(
-                f"a line with more than {MOST_DOTS} dots", where=where, fix="give one value a line"
-            )
-        data = tomllib.loads(text)
-    except FileFormatError:
-        raise VehicleError(
-            f"more than {LARGEST_FILE // 1024} KiB",
-            where=where,
-            fix="pass a vehicle file, not a log",
-        ) from None
-    except VehicleError:
-        raise
-    except FileNotFoundError:
-        raise VehicleError("no such vehicle file", where=where, fix="check the path") from None
-    except IsADirectoryError:
-        raise VehicleError(
-            "a folder, not a vehicle file", where=where, fix="pass the .toml file in it"
-        ) from None
-    except UnicodeDecodeError:
-        raise VehicleError(
-            "not a text file", where=where, fix="pass a TOML file saved as UTF-8"
-        ) from None
-    except OSError as error:
-        raise VehicleError(
-            f"cannot read: {error.strerror or error}", where=where, fix="check the path"
-        ) from None
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # besides its own, tomllib lets those of numbers and dates through
-        raise VehicleError(
-            f"not valid TOML: {error}", where=where, fix="correct the line that is named"
-        ) from None
-    return Vehicle.from_dict(data, where=where)
+    data = read_toml(path, what="vehicle file", error=VehicleError)
+    return Vehicle.from_dict(data, where=str(path))
 
 
 def _plain(quantity: Quantity, bare: bool) -> float | dict[str, float]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.manoeuvres import TILT
 from greybox.errors import GreyboxError
 from greybox.model.vehicle import Vehicle
+from greybox.planning.manoeuvres import TILT
 from greybox.symbolic import BoolArray, FloatArray
 
 OUTSIDE = 0.01

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.manoeuvres import Manoeuvre, flown
 from greybox.errors import FitError
 from greybox.model.identified import IdentifiedModel
 from greybox.planning.limits import Limits
+from greybox.planning.manoeuvres import Manoeuvre, flown
 from greybox.symbolic import FloatArray
 
 LEVELS = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2, 0.14, 0.1)

@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.discovery.manoeuvres import flown
 from greybox.errors import FitError, GreyboxError
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import says_choices
@@ -17,6 +16,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
+from greybox.planning.manoeuvres import flown
 from greybox.planning.options import PlanChoices, PlanOptions
 from greybox.planning.pieces import Flown, fit_in, pieces, sequence
 from greybox.planning.result import Plan, Step

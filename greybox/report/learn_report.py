@@ -19,6 +19,15 @@ HONEST = (0.88, 0.99)
 LOUD = 0.5
 """A calibration factor below this or above its inverse is worth a sentence."""
 
+LEARNED = {
+    "gp": "A Gaussian process",
+    "random-features": "A sum of random features",
+    "neural": "The Bayesian last layer of a small network",
+    "sparse": "A law of few terms",
+}
+FAR = "Far from the training flights it fades to nothing and the physics remains."
+BEYOND = "Far from the training flights it goes on as its features do: look at its variance and at the domain there."
+
 
 def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str:
     """The page of a learned model. `content` follows schemas/learn.json; `validation` may be missing, empty or partial.
@@ -45,7 +54,11 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
 
 def _subtitle(content: Mapping[str, Any]) -> str:
     count = len(content.get("trained_on", []))
-    return f"learned from {count} flight{'s' * (count != 1)}, {content['points']} support points"
+    return f"learned from {count} flight{'s' * (count != 1)}, {content['points']} {_counted(content)}"
+
+
+def _counted(content: Mapping[str, Any]) -> str:
+    return "support points" if content.get("learner", "gp") == "gp" else "features"
 
 
 def _channels(content: Mapping[str, Any], learned: bool) -> list[str]:
@@ -54,7 +67,7 @@ def _channels(content: Mapping[str, Any], learned: bool) -> list[str]:
 
 def _learned(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What was learned")
-    fit = content["fit"]
+    fit, learner = content["fit"], content.get("learner", "gp")
     if content["null"]:
         report.paragraph(
             "Nothing was learned. No candidate lowers the multi-step errors of flights that it has not seen, so the model "
@@ -64,13 +77,14 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
         silent = _channels(content, False)
         rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
         report.verdict(
-            f"A Gaussian process of {', '.join(content['features'])} adds to {', '.join(_channels(content, True))}. It "
+            f"{LEARNED.get(learner, f'The learner {learner}')} of {', '.join(content['features'])} adds to "
+            f"{', '.join(_channels(content, True))}. It "
             f"saves {number(100 * fit['held_out_gain'], 3)} % of the squared multi-step errors of flights that were left "
             f"out of its fit.{rest}"
         )
         report.paragraph(
             "The learned push acts like a force or torque in body axes on top of the physics and is held over each "
-            "sample. Far from the training flights it fades to nothing and the physics remains."
+            "sample. " + (FAR if learner == "gp" else BEYOND)
         )
     before, after = fit["cost_before"], fit["cost_after"]
     saved = 1 - after / before if before else 0.0
@@ -80,7 +94,7 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
             ("Model", content["model"]),
             ("Inputs", ", ".join(content["features"])),
             ("Learned", ", ".join(_channels(content, True)) or "none"),
-            ("Support points", str(content["points"])),
+            (_counted(content).capitalize(), str(content["points"])),
             ("Solver's end", end),
             ("Training error saved", f"{number(100 * saved, 3)} % of the weighted squared multi-step errors"),
             ("Time", f"{number(content['seconds'], 3)} s"),

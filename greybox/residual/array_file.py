@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,14 @@ import numpy as np
 from greybox.errors import FileFormatError
 from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
 from greybox.symbolic import FloatArray
+
+LARGEST_ARRAYS = 500 * 2**20
+"""Bytes of the arrays of one file: six outputs of 1000 support points take 48 MB."""
+UNREADABLE: tuple[type[Exception], ...] = (
+    *(OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, RuntimeError),
+    *(MemoryError, zipfile.BadZipFile, zlib.error),
+)
+"""What NumPy and zipfile raise for an archive that is damaged, encrypted, or none at all."""
 
 
 def write_with_arrays(
@@ -55,15 +64,7 @@ def read_with_arrays(
             fix="the file was edited or is damaged; write it again",
         )
     beside = Path(path).parent / Path(str(body.get("arrays"))).name
-    try:
-        with np.load(beside, allow_pickle=False) as stored:
-            arrays = {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise FileFormatError(
-            f"cannot read the arrays ({error})",
-            where=str(beside),
-            fix="keep the .npz beside its .json",
-        ) from None
+    arrays = load_arrays(beside)
     if _digest(arrays) != body.get("arrays_sha256"):
         raise FileFormatError(
             "these are not the arrays of that file",
@@ -71,6 +72,26 @@ def read_with_arrays(
             fix="copy both files together",
         )
     return body, arrays
+
+
+def load_arrays(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
+    """All arrays of an .npz file. Raises `FileFormatError` for one that cannot be read, holds more
+    than numbers, or unpacks to more than `LARGEST_ARRAYS`."""
+    where, fix = str(path), "keep the .npz beside its .json"
+    if not Path(path).is_file():
+        raise FileFormatError("no such file of arrays", where=where, fix=fix)
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            size = sum(entry.file_size for entry in stored.zip.infolist())
+            if size > LARGEST_ARRAYS:
+                message = f"the arrays unpack to more than {LARGEST_ARRAYS / 2**20:g} MiB"
+                raise FileFormatError(message, where=where, fix="pass a file that greybox wrote")
+            return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
+    except FileFormatError:
+        raise
+    except UNREADABLE as error:
+        message = f"cannot read the arrays ({error})"
+        raise FileFormatError(message, where=where, fix=fix) from None
 
 
 def _digest(arrays: Mapping[str, FloatArray]) -> str:

@@ -21,6 +21,7 @@ from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.residual.learn import learn
 from greybox.residual.output_residual import fit_output_residual, output_features, with_measured_noise
+from greybox.residual.weight_space import learned_numbers
 from greybox.symbolic import FloatArray
 
 KERNELS = ("se", "linear+se")
@@ -83,8 +84,7 @@ def _hybrid(bench: Bench) -> Outcome:
         search=[{"candidate": n, "held_out_gain": g} for n, g in learned.candidates.items()],
         settings={"chosen": learned.chosen, "null": learned.null, "points": bench.points},
     )  # fmt: skip
-    gp = learned.fit.posterior
-    added = 0 if learned.null else gp.support.size + gp.weights.size + len(gp.outputs) * (len(gp.inputs) + 2)
+    added = 0 if learned.null else learned_numbers(learned.fit.posterior)
     return replace(found, parameters=found.parameters + added)
 
 

@@ -25,7 +25,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
 from greybox.residual.features import feature_layout, features
-from greybox.symbolic import FloatArray, Layout, evaluate
+from greybox.symbolic import BoolArray, FloatArray, Layout, evaluate
 
 GROUPS = ("force", "torque")
 
@@ -44,6 +44,11 @@ class Discrepancy:
         """The same rows with some of the features. Raises `UnknownNameError`."""
         at = [self.inputs[n] for n in names]
         return replace(self, inputs=Layout([self.inputs.signals[i] for i in at]), z=self.z[:, at])
+
+    def take(self, rows: BoolArray) -> Discrepancy:
+        """The rows where `rows` (N,) says so."""
+        kept = tuple(f for f, r in zip(self.flights, rows, strict=True) if r)
+        return replace(self, z=self.z[rows], y=self.y[rows], flights=kept)
 
 
 def feature_function(dynamics: Dynamics, names: Sequence[str]) -> Any:

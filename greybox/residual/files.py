@@ -17,6 +17,7 @@ from greybox.files import checksum, read_json, write_json
 from greybox.model.effect import Effect
 from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.sensor import Sensor
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 
@@ -33,7 +34,7 @@ def model_to_dict(model: IdentifiedModel) -> dict[str, Any]:
         return model.to_dict()
     body: dict[str, Any] = {
         "schema": SCHEMA, "kind": "hybrid", "name": model.name,
-        "base": replace(model, dynamics=dynamics.inner).to_dict(), "gp": dynamics.posterior.to_dict(),
+        "base": replace(model, dynamics=dynamics.inner).to_dict(), _key(dynamics.posterior): dynamics.posterior.to_dict(),
         "versions": library_versions(),
     }  # fmt: skip
     return {**body, "checksum": _checksum(body)}
@@ -60,12 +61,18 @@ def load_model(
         )
     try:
         base = IdentifiedModel.from_dict(data["base"], where=where, effects=effects, sensors=sensors)
-        posterior = GPPosterior.from_dict(data["gp"])
+        posterior: GPPosterior | FeaturePosterior = (
+            GPPosterior.from_dict(data["gp"]) if "gp" in data else FeaturePosterior.from_dict(data["learned"])
+        )
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         if isinstance(error, GreyboxError):
             raise
         raise FileFormatError(f"incomplete or wrong ({error})", where=where, fix="write the file again") from None
     return replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=posterior))
+
+
+def _key(posterior: GPPosterior | FeaturePosterior) -> str:
+    return "learned" if isinstance(posterior, FeaturePosterior) else "gp"
 
 
 def _checksum(body: Mapping[str, Any]) -> str:

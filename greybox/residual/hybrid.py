@@ -20,6 +20,7 @@ import casadi as ca
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import LearnedPush
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import features
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr
@@ -37,7 +38,7 @@ class HybridModel(LearnedPush):
     """
 
     inner: Dynamics
-    posterior: GPPosterior
+    posterior: GPPosterior | FeaturePosterior
 
     def __post_init__(self) -> None:
         for signal in self.posterior.outputs:
@@ -71,7 +72,8 @@ class HybridModel(LearnedPush):
     @property
     def name(self) -> str:
         """Name of the inner model and what was learned."""
-        return f"{self.inner.name} + GP({', '.join(self.posterior.outputs.names)})"
+        label = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
+        return f"{self.inner.name} + {label}({', '.join(self.posterior.outputs.names)})"
 
     @cached_property
     def learned_rows(self) -> tuple[int, ...]:

@@ -1,8 +1,9 @@
 """learn: from an identified model and its training flights to a hybrid model with calibrated uncertainty.
 
 1. Disturbance states take up what the physics misses (fitted, where the model has none); smoothing gives its time series.
-2. Candidate Gaussian processes: every set of features, with hyper-parameters by marginal likelihood (GPyTorch) on the
-   smoothed discrepancy, and with a broad kernel that knows nothing but the scales of the data.
+2. Candidates (`greybox.residual.candidates`): of every set of features a Gaussian process with hyper-parameters by
+   marginal likelihood (GPyTorch) on the smoothed discrepancy, and one with a broad kernel that knows nothing but the
+   scales of the data; or what another learner offers.
 3. Their weights are fitted by multi-step prediction errors; the candidate and the strength of its prior are those that
    lower the errors of left-out flights most. Where none does, the result is the physics alone and says so.
 4. The filter's noise levels are refitted with the learned part in place, and the growth of the uncertainty over the
@@ -22,23 +23,21 @@ from greybox.data import Dataset
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
-from greybox.residual.discrepancy import Discrepancy, discrepancy, disturbed_model
+from greybox.residual.candidates import FeatureMaker, gp_candidates
+from greybox.residual.discrepancy import discrepancy, disturbed_model
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.kernels import Kernel, split_name
+from greybox.residual.kernels import split_name
+from greybox.residual.learners import GP, Learner, learner_of
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
-from greybox.residual.posterior import Domain, GPPosterior
-from greybox.residual.selection import place_points
-from greybox.residual.train import check_extra, train_gp
+from greybox.residual.train import check_extra
+from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
 
 Progress = Callable[[str, float], None]
-BROAD = 3.0
-"""Length-scale of the broad kernel in standard deviations of a feature; its linear part reaches twice as far."""
-SUBSET = 300
-"""Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from multi-step errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -63,6 +62,7 @@ class Learned(Shown):
             "schema": "greybox.learn/1",
             "model": self.model.name,
             "kind": "dynamics",
+            "learner": posterior.method if isinstance(posterior, FeaturePosterior) else GP,
             "null": self.null,
             "candidates": [{"name": n, "held_out_gain": g} for n, g in self.candidates.items()],
             "chosen": self.chosen,
@@ -153,6 +153,7 @@ def learn(
     place: bool = False,
     kernel: str = "se",
     points: int | str = 50,
+    learner: str | Learner = GP,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Learned:
@@ -160,14 +161,21 @@ def learn(
 
     `features` names the inputs of the Gaussian process (default: the sets of `feature_sets` compete; with `place` also those
     of what stands in the room, which do not carry over to another room). kernel: "se",
-    "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". Raises
-    `MissingExtraError` without the extra `gp`, `UnknownNameError`, `DataError`, `ModelError`.
+    "matern32", "matern52", or "linear+" one of these. `points`: number of support points, or "auto". `learner`: what is
+    learned, "gp" or another name of `greybox.residual.learners`, a file of the user's own ("own.py:Name", which is run), or
+    a `Learner`; `points` are then its features. Raises `MissingExtraError` without the extra `gp`, `UnknownNameError`,
+    `DataError`, `ModelError` (a learner that returns what is not finite, too).
     """
     began = time.perf_counter()
     say = progress or (lambda _text, _share: None)
     if isinstance(model.dynamics, HybridModel):
         raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
     split_name(kernel)
+    other = learner_of(learner) if isinstance(learner, str) else learner
+    if other is not None and points == "auto":
+        raise ModelError("points are chosen for a Gaussian process only", got=other.name, fix="give a number of points")
+    if other is not None and kernel != "se":
+        raise ModelError("a kernel is for the Gaussian process", got=f"{kernel} beside {other.name}", fix="one of the two")
     if place:
         if features is not None:
             raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
@@ -177,28 +185,30 @@ def learn(
         for n in features:
             if n not in there:
                 raise UnknownNameError("feature", n, there)
-    check_extra()
+    if other is None:
+        check_extra()
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
-    sets = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
-    whole = discrepancy(base, train, tuple(dict.fromkeys(n for names in sets.values() for n in names)))
-    found: dict[str, GPPosterior] = {}
+    names = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
+    whole = discrepancy(base, train, tuple(dict.fromkeys(n for own in names.values() for n in own)))
+    sets = {label: whole.select(own) for label, own in names.items()}
+    found: Mapping[str, Candidate]
     reports: list[Mapping[str, Any]] = []
-    for i, (label, names) in enumerate(sets.items()):
-        say(f"marginal likelihood: {label}", 0.1 + 0.3 * i / len(sets))
-        seen = whole.select(names)
-        trained = train_gp(
-            seen.z, seen.y, inputs=seen.inputs, outputs=seen.outputs, kernel=kernel, points=points, seed=seed,
-            groups=seen.flights, noise_inflation=1.0, hold_out=0.25 if points == "auto" else 0.0, subset=SUBSET,
-        )  # fmt: skip
-        reports.append({"candidate": label, **trained.report.to_dict()})
-        size = trained.posterior.points if points == "auto" else int(points)
-        if any(trained.posterior.active):
-            found[f"{label}, marginal likelihood"] = trained.posterior
-        found[f"{label}, broad kernel"] = broad_posterior(seen, points=size, seed=seed)
-    result, chosen, gains = fit_open_loop(base, found, train, progress=lambda text, share: say(text, 0.4 + 0.4 * share))
+    maker: FeatureMaker | None = None
+    if other is None:
+        found, reports = gp_candidates(
+            sets, kernel=kernel, points=points, seed=seed, say=lambda text, share: say(text, 0.1 + 0.3 * share)
+        )
+    else:
+        maker = FeatureMaker(learner=other, sets=sets, points=int(points), seed=seed)
+        found = maker.candidates(lambda text, share: say(text, 0.1 + 0.3 * share))
+    result, chosen, gains = fit_open_loop(
+        base, found, train, maker=maker, progress=lambda text, share: say(text, 0.4 + 0.4 * share)
+    )
     null = result.status == "null"
     posterior = result.posterior
+    if isinstance(posterior, FeaturePosterior):
+        posterior = posterior.at_home(whole.select(posterior.inputs.names).z)
     hybrid = base
     if not null:
         say("noise levels", 0.85)
@@ -212,26 +222,4 @@ def learn(
     return Learned(
         model=final, base=base, null=null, fit=result, candidates=gains, chosen=chosen,
         calibration=calibration, seconds=time.perf_counter() - began, training=tuple(reports),
-    )  # fmt: skip
-
-
-def broad_posterior(seen: Discrepancy, *, points: int, seed: int) -> GPPosterior:
-    """A Gaussian process with a broad linear-plus-SE kernel, ready for `fit_open_loop` (its weights are still zero)."""
-    mean, scale = seen.z.mean(axis=0), seen.z.std(axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    n_in, n_out = seen.z.shape[1], seen.y.shape[1]
-    kernel = Kernel(
-        family="se", lengthscales=np.full(n_in, BROAD), variance=1.0, slopes=np.ones(n_in),
-        reach=np.full(n_in, 2 * BROAD),
-    )  # fmt: skip
-    x = (seen.z - mean) / scale
-    support = place_points([kernel] * n_out, np.full(n_out, 0.1), x, points, seed=seed)
-    m = len(support)
-    size = seen.y.std(axis=0)
-    size = np.where(size > 0, size, 1.0)
-    return GPPosterior(
-        inputs=seen.inputs, outputs=seen.outputs, method="svgp", kernels=(kernel,) * n_out, input_mean=mean,
-        input_scale=scale, output_mean=np.zeros(n_out), output_scale=size, support=support,
-        weights=np.zeros((m, n_out)), explained=np.zeros((n_out, m, m)), uncertain=np.zeros((n_out, m, m)),
-        noise=size**2, domain=Domain(lower=seen.z.min(axis=0), upper=seen.z.max(axis=0), samples=len(x)),
     )  # fmt: skip

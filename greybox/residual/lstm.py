@@ -26,6 +26,7 @@ import numpy.typing as npt
 from greybox.data import Segment
 from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, write_atomic, write_json
+from greybox.residual.array_file import load_arrays
 from greybox.residual.regressors import Lags
 from greybox.symbolic import FloatArray
 
@@ -195,8 +196,7 @@ class LSTMModel:
         if body.pop("checksum", None) != checksum(body):
             raise FileFormatError("the checksum does not fit", where=where, fix="train again; do not edit by hand")
         try:
-            with np.load(Path(path).with_suffix(".npz"), allow_pickle=False) as file:
-                arrays = {n: np.asarray(file[n], dtype=np.float64) for n in file.files}
+            arrays = load_arrays(Path(path).with_suffix(".npz"))
             for name, stated in body["arrays"].items():
                 if checksum(arrays[name]) != stated["sha256"]:
                     raise FileFormatError(f"array '{name}' does not fit its checksum", where=where, fix="train again")

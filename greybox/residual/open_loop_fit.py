@@ -28,7 +28,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import scipy.cluster.hierarchy
@@ -46,8 +45,25 @@ from greybox.model.parameter import Parameter
 from greybox.residual.discrepancy import feature_function
 from greybox.residual.features import features
 from greybox.residual.hybrid import HybridModel
-from greybox.residual.posterior import GPPosterior
-from greybox.residual.sparse import safe_cholesky, variational
+from greybox.residual.strengths import (
+    Halves,
+    Maker,
+    Normal,
+    by_channel,
+    choose,
+    folds_of,
+    judged,
+    total,
+)
+from greybox.residual.weight_space import (
+    Candidate,
+    factors,
+    fitted,
+    plain_weights,
+    silent,
+    weighted,
+    whitened,
+)
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 HORIZONS = (1, 2, 5, 10, 20, 35, 50)
@@ -61,8 +77,6 @@ CHUNK = 1000
 """Samples whose sensitivities are held in memory at once."""
 MANY = 6
 """From this many flights on, flights of a kind are left out together."""
-HARM = 1e-4
-"""Share by which a choice may raise the left-out errors of a channel group (rounding, not harm)."""
 Progress = Callable[[str, float], None]
 IntArray = npt.NDArray[np.int_]
 
@@ -82,16 +96,8 @@ class WeightedHybrid(HybridModel):
         return (*self.inner.parameters, *own)
 
     def _weighted(self, x: Expr, window: Expr, p: Expr) -> Expr:
-        post = self.posterior
-        z = (features(self.inner, post.inputs.names, x, window) - post.input_mean) / post.input_scale
-        n, m = len(self.inner.parameters), post.points
-        known: dict[int, Expr] = {}
-        out = []
-        for j, kernel in enumerate(post.kernels):
-            if id(kernel) not in known:
-                known[id(kernel)] = kernel.covariance(post.support.T, z, ca)
-            out.append(post.output_scale[j] * ca.dot(p[n + j * m : n + (j + 1) * m], known[id(kernel)]))
-        return ca.vertcat(*out)
+        z = features(self.inner, self.posterior.inputs.names, x, window)
+        return weighted(self.posterior, z, p[len(self.inner.parameters) :])
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample under the weighted push."""
@@ -105,16 +111,6 @@ class WeightedHybrid(HybridModel):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Normal:
-    """Normal equations of a stretch of flight by channel group (rate, rotation, ...): cost (C,), gradient g (C, P) and
-    Gauss-Newton Hessian h (C, P, P) in theta."""
-
-    cost: FloatArray
-    gradient: FloatArray
-    hessian: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class OpenLoopFit:
     """The fitted posterior and how it came about: prior strength per output, cost before and after, share of held-out
     cost that it saves, `status` ("converged", "iteration limit" or "null": nothing was worth learning).
@@ -122,7 +118,7 @@ class OpenLoopFit:
     `left_out`: (flight, horizon in samples, channel group) -> mean squared error with weights that have not seen its kind of
     flight, over that with the weights of all flights (at least 1). Empty for null."""
 
-    posterior: GPPosterior
+    posterior: Candidate
     strengths: Mapping[str, float]
     cost_before: float
     cost_after: float
@@ -133,32 +129,27 @@ class OpenLoopFit:
 
 
 class Basis:
-    """s_j psi_j(z) of a posterior's kernels and support points, along the paths of a model."""
+    """s_j psi_j(z) of a candidate (`greybox.residual.weight_space`), along the paths of a model."""
 
-    def __init__(self, model: IdentifiedModel, posterior: GPPosterior) -> None:
+    def __init__(self, model: IdentifiedModel, posterior: Candidate) -> None:
         self.posterior = posterior
         self.m, self.outputs = posterior.points, len(posterior.outputs)
         self.size = self.m * self.outputs
         self.rows = [model.dynamics.noises[n] for n in posterior.outputs.names]
         self.look = feature_function(model.dynamics, posterior.inputs.names)
-        support = posterior.support.T
-        self.factors = [safe_cholesky(k.covariance(support, support))[0] for k in posterior.kernels]
+        self.factors = factors(posterior)
 
     def weights(self, theta: FloatArray) -> FloatArray:
         """Weights of the kernel values, (P,), of whitened theta (P,)."""
-        parts = theta.reshape(self.outputs, self.m)
-        return np.concatenate([np.linalg.solve(f.T, v) for f, v in zip(self.factors, parts, strict=True)])
+        return plain_weights(self.posterior, self.factors, theta)
 
     def spread(self, states: FloatArray, windows: FloatArray) -> FloatArray:
         """d push/d theta, (m, n_out, P)."""
         post = self.posterior
         x = ((evaluate(self.look, states, windows) - post.input_mean) / post.input_scale).T
-        known: dict[int, FloatArray] = {}
         out = np.zeros((x.shape[1], self.outputs, self.size))
-        for j, kernel in enumerate(post.kernels):
-            if id(kernel) not in known:
-                known[id(kernel)] = np.linalg.solve(self.factors[j], kernel.covariance(post.support.T, x)).T
-            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * known[id(kernel)]
+        for j, psi in enumerate(whitened(post, self.factors, x)):
+            out[:, j, j * self.m : (j + 1) * self.m] = post.output_scale[j] * psi
         return out
 
 
@@ -298,6 +289,17 @@ class Paths:
             for k in range(len(bases))
         ]
 
+    def all_normal(
+        self, bases: Mapping[str, Basis], blocks: int, say: Progress
+    ) -> dict[str, list[Normal]]:
+        """Normal equations of every basis: `blocks` parts of every record, in order."""
+        parts: dict[str, list[Normal]] = {label: [] for label in bases}
+        for i, record in enumerate(self.records):
+            say(f"sensitivities of {record.flight}", i / len(self.records))
+            for label, normals in zip(bases, self.normal(record, list(bases.values()), blocks), strict=True):
+                parts[label] += normals
+        return parts
+
     def kinds(self, basis: Basis) -> list[int]:
         """Number of the kind of flight of every record: flights that cover the features alike are one kind.
 
@@ -326,9 +328,10 @@ class Paths:
 
 def fit_open_loop(
     model: IdentifiedModel,
-    candidates: Mapping[str, GPPosterior],
+    candidates: Mapping[str, Candidate],
     data: Dataset,
     *,
+    maker: Maker | None = None,
     horizons: Sequence[int] = HORIZONS,
     stride: int = 10,
     strengths: Sequence[float] = STRENGTHS,
@@ -337,38 +340,75 @@ def fit_open_loop(
 ) -> tuple[OpenLoopFit, str, dict[str, float]]:
     """(fit, name of the candidate chosen, name -> share of held-out cost that each candidate saves).
 
-    Of every candidate the kernels and support points stay and the weights are refitted by multi-step errors on the
-    flights of `data`. `model` is the identified model without the learned part; `horizons` are samples, `stride` the
-    samples between the starts of two predictions. Raises `DataError` for flights that are too short, `FitError` where the
-    model itself does not stay finite.
+    Of every candidate the kernels and support points (or features) stay and the weights are refitted by multi-step errors on
+    the flights of `data`. With a `maker` the best candidate must stand again with features that have not seen the flights
+    they are judged on; where it does not the next one is asked, and none is learned where none does. `model` is the
+    identified model without the learned part; `horizons` are samples, `stride` the samples between the starts of two
+    predictions. Raises `DataError` for flights that are too short, `FitError` where the model itself does not stay finite.
     """
     say = progress or (lambda _text, _share: None)
     with threadpool_limits(limits=1):
         paths = Paths(model, data, horizons=horizons, stride=stride)
         bases = {label: Basis(model, posterior) for label, posterior in candidates.items()}
+        outputs = next(iter(candidates.values())).outputs.names
         blocks = 1 if len({r.flight for r in paths.records}) >= FEW else BLOCKS
         kinds = paths.kinds(next(iter(bases.values())))
-        parts: dict[str, list[Normal]] = {label: [] for label in bases}
-        owners: list[str] = []
-        for i, record in enumerate(paths.records):
-            say(f"sensitivities of {record.flight}", 0.6 * i / len(paths.records))
-            for label, normals in zip(bases, paths.normal(record, list(bases.values()), blocks), strict=True):
-                parts[label] += normals
-            owners += [str(kinds[i]) if blocks == 1 else f"{i} {b}" for b in range(blocks)]
-        found = {label: _choose(parts[label], _folds(owners), basis, strengths) for label, basis in bases.items()}
+        owners = [
+            str(kinds[i]) if blocks == 1 else f"{i} {b}" for i in range(len(paths.records)) for b in range(blocks)
+        ]
+        folds = folds_of(owners)
+        parts = paths.all_normal(bases, blocks, lambda text, share: say(text, 0.6 * share))
+        found = {
+            label: choose(judged(own, folds), by_channel(own, "cost"), outputs, strengths) for label, own in parts.items()
+        }
+        best = max(found, key=lambda label: found[label][1])
+        if maker is not None:
+            best = _judged_apart(paths, maker, found, kinds, blocks, folds, strengths, say)
         gains = {label: gain for label, (_, gain) in found.items()}
-        best = max(gains, key=lambda label: gains[label])
         chosen, gain = found[best]
-        factor = _dispersion(parts[best], _folds(owners), bases[best], chosen)
-        fitted, theta = _iterate(
+        factor = _dispersion(parts[best], folds, bases[best], chosen)
+        result, theta = _iterate(
             paths, bases[best], parts[best], chosen, factor, gain, iterations,
             lambda text, s: say(text, 0.6 + 0.3 * s),
         )  # fmt: skip
-        if fitted.status != "null":
+        if result.status != "null":
             say("errors of kinds of flight left out", 0.9)
             del parts
-            fitted = replace(fitted, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
-    return fitted, best, gains
+            result = replace(result, left_out=_left_out(paths, bases[best], theta, chosen, owners, blocks))
+    return result, best, gains
+
+
+def _judged_apart(
+    paths: Paths, maker: Maker, found: dict[str, tuple[FloatArray, float]], kinds: Sequence[int], blocks: int,
+    folds: Sequence[Sequence[int]], strengths: Sequence[float], say: Progress,
+) -> str:  # fmt: skip
+    """The best candidate that stands with features made without the flights that judge it.
+
+    Changes `found` (strengths, share saved) of those that were asked to what they saved so; a candidate that the half of the
+    flights does not offer saves nothing.
+    """
+    flights = [r.flight for r in paths.records]
+    halves = Halves.of(
+        flights, dict(zip(flights, kinds, strict=True)), blocks, [r.n for r in paths.records], maker.flights
+    )
+    order = sorted(found, key=lambda label: found[label][1], reverse=True)
+    for label in order:
+        chosen = found[label][0]
+        if not np.isfinite(chosen).any():
+            continue
+        say(f"{label}: again without the flights that judge it", 0.6)
+        made = {str(h): maker.again(label, rows) for h, rows in enumerate(halves.rows)}
+        bases = {h: Basis(paths.model, c) for h, c in made.items() if c is not None}
+        silence, nothing = np.full(chosen.shape, np.inf), 0.0
+        found[label] = silence, nothing
+        if len(bases) == len(made):
+            parts = paths.all_normal(bases, blocks, lambda _text, _share: None)
+            outputs = next(iter(bases.values())).posterior.outputs.names
+            both = halves.judged([parts[h] for h in made], folds)
+            found[label] = choose(both, by_channel(parts["0"], "cost"), outputs, strengths)
+        if np.isfinite(found[label][0]).any():
+            return label
+    return order[0]
 
 
 def _iterate(
@@ -376,13 +416,13 @@ def _iterate(
     iterations: int, say: Progress,
 ) -> tuple[OpenLoopFit, FloatArray]:  # fmt: skip
     """Gauss-Newton with step control from zero weights: (fit, whitened weights (P,))."""
-    before = value = float(_total(parts, "cost"))
+    before = value = float(total(parts, "cost"))
     strengths = dict(zip(basis.posterior.outputs.names, chosen.tolist(), strict=True))
     on = np.isfinite(np.repeat(chosen, basis.m))
     prior = np.repeat(chosen, basis.m)[on]
     if not on.any():
         null = OpenLoopFit(
-            posterior=_silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
+            posterior=silent(basis.posterior), strengths=strengths, cost_before=before, cost_after=before,
             held_out_gain=0.0, iterations=0, status="null",
         )  # fmt: skip
         return null, np.zeros(basis.size)
@@ -391,9 +431,9 @@ def _iterate(
     theta = np.zeros(basis.size)
     status, done = "iteration limit", 0
     for done in range(1, iterations + 1):
-        g = _total(parts, "gradient")[on] + prior * theta[on]
+        g = total(parts, "gradient")[on] + prior * theta[on]
         step = np.zeros(basis.size)
-        step[on] = -np.linalg.solve(_total(parts, "hessian")[np.ix_(on, on)] + np.diag(prior), g)
+        step[on] = -np.linalg.solve(total(parts, "hessian")[np.ix_(on, on)] + np.diag(prior), g)
         moved, new = theta, np.inf
         for share in (1.0, 0.5, 0.25, 0.125):
             moved = theta + share * step
@@ -413,12 +453,12 @@ def _iterate(
         if done < iterations:
             parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
     paths.extra = basis.weights(theta)
-    hessian = _total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
-    fitted = OpenLoopFit(
-        posterior=_posterior(basis, theta, hessian, chosen, factor), strengths=strengths, cost_before=before,
+    hessian = total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
+    found = OpenLoopFit(
+        posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor), strengths=strengths, cost_before=before,
         cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
     )  # fmt: skip
-    return fitted, theta
+    return found, theta
 
 
 def _left_out(
@@ -429,12 +469,12 @@ def _left_out(
     flights = [r.flight for r in paths.records for _ in range(blocks)]
     on = np.isfinite(np.repeat(chosen, basis.m))
     at, prior = np.ix_(on, on), np.repeat(chosen, basis.m)[on]
-    whole_h, whole_g = _total(parts, "hessian")[at] + np.diag(prior), _total(parts, "gradient")[on] + prior * theta[on]
+    whole_h, whole_g = total(parts, "hessian")[at] + np.diag(prior), total(parts, "gradient")[on] + prior * theta[on]
     seen: dict[str, FloatArray] = {}
     unseen: dict[str, FloatArray] = {}
-    for fold in _folds(owners):
+    for fold in folds_of(owners):
         own = [parts[i] for i in fold]
-        left_h, left_g = whole_h - _total(own, "hessian")[at], whole_g - _total(own, "gradient")[on]
+        left_h, left_g = whole_h - total(own, "hessian")[at], whole_g - total(own, "gradient")[on]
         d = -np.linalg.solve(left_h, left_g)
         for i in fold:
             g, h = parts[i].gradient[:, on], parts[i].hessian[:, on][:, :, on]
@@ -446,62 +486,6 @@ def _left_out(
         for flight, values in unseen.items()
         for (h, label), after, before in zip(names, values, seen[flight], strict=True)
     }
-
-
-def _total(parts: Sequence[Normal], what: str) -> FloatArray:
-    """Sum over stretches and channel groups."""
-    return np.asarray(np.sum([getattr(n, what).sum(axis=0) for n in parts], axis=0))
-
-
-def _by_channel(parts: Sequence[Normal], what: str) -> FloatArray:
-    """Sum over stretches, channel groups apart."""
-    return np.asarray(np.sum([getattr(n, what) for n in parts], axis=0))
-
-
-def _folds(owners: Sequence[str]) -> list[list[int]]:
-    """Which parts are left out together: those of one owner (a kind of flight; a stretch, where there are few flights)."""
-    return [[i for i, o in enumerate(owners) if o == n] for n in dict.fromkeys(owners)]
-
-
-def _choose(
-    parts: Sequence[Normal], folds: Sequence[Sequence[int]], basis: Basis, strengths: Sequence[float]
-) -> tuple[FloatArray, float]:
-    """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost; share of it saved.
-
-    Outputs of a group (force, torque) share one strength. A choice must not raise the left-out errors of any channel
-    group, whatever it saves elsewhere. Among choices within one standard error of the best the strongest prior wins.
-    """
-    groups, m = [n.split(".")[0] for n in basis.posterior.outputs.names], basis.m
-    kinds = list(dict.fromkeys(groups))
-    whole_h, whole_g = _total(parts, "hessian"), _total(parts, "gradient")
-    sums = [
-        (_by_channel([parts[i] for i in f], "hessian"), _by_channel([parts[i] for i in f], "gradient")) for f in folds
-    ]
-    cost = _by_channel(parts, "cost")
-    results: dict[tuple[float, ...], FloatArray] = {}
-    for choice in itertools.product(strengths, repeat=len(kinds)):
-        prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
-        on = np.isfinite(prior)
-        saved = np.zeros((len(folds), len(cost)))
-        if on.any():
-            at = np.ix_(on, on)
-            for i, (h, g) in enumerate(sums):
-                left_h, left_g = whole_h - h.sum(axis=0), whole_g - g.sum(axis=0)
-                theta = -np.linalg.solve(left_h[at] + np.diag(prior[on]), left_g[on])
-                bent = h[:, on][:, :, on] @ theta
-                saved[i] = -(2 * g[:, on] @ theta + bent @ theta)
-        if (saved.sum(axis=0) >= -HARM * cost).all():
-            results[choice] = saved.sum(axis=1)
-    best = max(results, key=lambda c: float(results[c].sum()))
-    margin = results[best]
-    keep = [
-        c
-        for c, saved in results.items()
-        if (margin - saved).sum() <= np.sqrt(len(folds)) * (margin - saved).std(ddof=1) + 1e-12
-    ]
-    strongest = max(keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum())))
-    share = float(results[strongest].sum() / cost.sum())
-    return np.array([strongest[kinds.index(g)] for g in groups]), share
 
 
 def _dispersion(
@@ -519,14 +503,14 @@ def _dispersion(
     if not on.any():
         return out
     at, prior = np.ix_(on, on), np.diag(np.repeat(chosen, basis.m)[on])
-    h, g = _total(parts, "hessian")[at] + prior, _total(parts, "gradient")[on]
+    h, g = total(parts, "hessian")[at] + prior, total(parts, "gradient")[on]
     theta, whole = -np.linalg.solve(h, g), np.linalg.inv(h)
     groups = np.repeat([n.split(".")[0] for n in basis.posterior.outputs.names], basis.m)[on]
     kinds = list(dict.fromkeys(groups.tolist()))
     moved, expected = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
     for fold in folds:
         own = [parts[i] for i in fold]
-        hf, gf = _total(own, "hessian")[at], _total(own, "gradient")[on]
+        hf, gf = total(own, "hessian")[at], total(own, "gradient")[on]
         without = np.linalg.inv(h - hf)
         d = without @ (gf + hf @ theta)
         for kind in kinds:
@@ -541,36 +525,9 @@ def _dispersion(
     return out
 
 
-def _posterior(
-    basis: Basis, theta: FloatArray, hessian: FloatArray, prior: FloatArray, factor: FloatArray
-) -> GPPosterior:
-    """Plain numbers of the fitted process; an output that is off keeps nothing.
-
-    A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the
-    data is that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.
-    """
-    post, m = basis.posterior, basis.m
-    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    weights, explained, uncertain = (np.zeros_like(a) for a in (post.weights, post.explained, post.uncertain))
-    scale = post.output_scale.copy()
-    for j in range(basis.outputs):
-        if not np.isfinite(prior[j]):
-            continue
-        rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j] / factor[j])
-        root = np.asarray(np.linalg.cholesky(_symmetric(covariance[rows, rows])), dtype=np.float64)
-        numbers = variational(post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * root)
-        weights[:, j], explained[j], uncertain[j] = numbers.weights, numbers.explained, numbers.uncertain
-        scale[j] /= size
-    return replace(
-        post, method="svgp", weights=weights, explained=explained, uncertain=uncertain, output_scale=scale,
-        output_mean=np.zeros(basis.outputs), variance_factor=(),
-    )  # fmt: skip
+def _inverse(hessian: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(hessian), dtype=np.float64)
 
 
 def _symmetric(a: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (a + np.swapaxes(a, -1, -2)))
-
-
-def _silent(posterior: GPPosterior) -> GPPosterior:
-    zero = {k: np.zeros_like(getattr(posterior, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
-    return replace(posterior, **zero)

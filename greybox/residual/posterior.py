@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import io
 import os
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -33,6 +32,7 @@ import numpy.typing as npt
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_atomic, write_json
 from greybox.plots import Curve, panels
+from greybox.residual.array_file import load_arrays
 from greybox.residual.kernels import Kernel
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
@@ -480,13 +480,11 @@ class GPPosterior(Shown):
         if body.pop("checksum", None) != checksum(body):
             raise FileFormatError("the checksum does not match", where=where, fix="the file was edited or is damaged")
         beside = Path(path).parent / Path(str(body.get("arrays"))).name
-        try:
-            with np.load(beside, allow_pickle=False) as stored:
-                arrays = {name: np.asarray(stored[name], dtype=np.float64) for name in _ARRAYS}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise FileFormatError(
-                f"cannot read the arrays ({error})", where=str(beside), fix="keep the .npz beside its .json"
-            ) from None
+        stored = load_arrays(beside)
+        if missing := [name for name in _ARRAYS if name not in stored]:
+            message = f"cannot read the arrays (no {', '.join(missing)})"
+            raise FileFormatError(message, where=str(beside), fix="keep the .npz beside its .json")
+        arrays = {name: stored[name] for name in _ARRAYS}
         if _digest(arrays) != body.get("arrays_sha256"):
             raise FileFormatError(
                 "these are not the arrays of that file", where=str(beside), fix="copy both files together"

@@ -19,8 +19,8 @@ import numpy as np
 import scenarios.plants.effects as hidden
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.cause import offer
-from greybox.discovery.differences import widened
 from greybox.discovery.evidence import Flights
+from greybox.estimation.differences import widened
 from greybox.model.vehicle import Vehicle, read_vehicle
 from scenarios.excitation.circle import Circle
 from scenarios.excitation.figure_eight import FigureEight

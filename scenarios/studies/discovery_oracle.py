@@ -16,13 +16,13 @@ from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.gap import NOTHING, Foresight, foresee
 from greybox.discovery.lead import led
 from greybox.discovery.name import LOG10
 from greybox.discovery.search import Rival
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
 from greybox.model.vehicle import Vehicle
+from greybox.validation.gap import NOTHING, Foresight, foresee
 
 AHEAD = 0.5
 """Horizon [s] at which gaps are compared."""

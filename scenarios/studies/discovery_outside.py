@@ -34,12 +34,12 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
-from greybox.discovery.gap import NOTHING, foresee
 from greybox.discovery.lead import led
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
 from greybox.files import append_json_line
+from greybox.validation.gap import NOTHING, foresee
 from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
 from scenarios.plants.effects import PlantEffect

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BASE = ("symbolic", "frames", "errors", "files", "cores", "interrupts", "shown", "plots", "distribution")
 ROOMS = (
     "statistics", "data", "model", "estimation", "validation", "automatic", "residual",
-    "simulators", "discovery", "planning",
+    "simulators", "planning", "discovery",
     "report",
 )  # fmt: skip
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}

@@ -12,6 +12,7 @@ import pytest
 
 from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
+from greybox.data.checks.mixture import mixture
 from tests.data.faults import real, vehicle
 from tests.hardening.channel_faults import CHANNEL_FAULTS
 
@@ -38,6 +39,7 @@ def messages(name: str, severity: str, of: str) -> list[str]:
         ("accelerometer in world axes", "acceleration", "the specific force is in world axes"),
         ("attitude tilted by 10 deg in the world", "gravity", "10 deg from the world's up"),
         ("r negated", "attitude", "r = -r"),
+        ("gyro in world axes", "attitude", "the gyro is in world axes"),
         ("clock 10 % slow", "clock", "the time runs 1.1 times as fast as the motion"),
         ("2 s cut out, clock closed up", "jumps", "rows are missing there, but the clock goes on"),
         ("1 s comes twice", "jumps", "100 rows from t = "),
@@ -80,3 +82,21 @@ def test_a_rounded_scalar_of_a_hover_is_no_frozen_sensor() -> None:
     for change in (rounded, still):
         made = type(raw)(**{**vars(raw), "channels": {**raw.channels, **change}})
         assert not [f for f in check([made], vehicle(SET)).of("frozen") if f.severity == "blocking"]
+
+
+@pytest.mark.parametrize("truth", [0.0, 1.0])
+def test_mounting_and_factors_do_not_hide_which_reading_is_true(truth: float) -> None:
+    draw = np.random.default_rng(3)
+    x, other = draw.normal(size=(2, 400, 3))
+    other = x + 0.05 * other
+    m = np.eye(3) + 0.2 * draw.normal(size=(3, 3))
+    y = (x + truth * (other - x)) @ m.T + 0.1 * draw.normal(size=x.shape)
+    weight, others = mixture(y, x, other, np.arange(0, 400, 40)).weights()
+    error = np.sqrt(0.9 * ((others - others.mean()) ** 2).sum())
+    assert abs(weight - truth) < 4.0 * error < 0.6
+
+
+def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way_between_them() -> None:
+    x = np.random.default_rng(3).normal(size=(400, 3))
+    weight, _ = mixture(x, x, x @ np.diag([1.0, -1.0, 0.5]), np.arange(0, 400, 40)).weights()
+    assert np.isnan(weight)

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.discovery.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.discovery.law import Axis
 from greybox.discovery.proposal import file_name, proposal_text, proposed
-from greybox.discovery.terms import Memory, Term
 from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
+from greybox.residual.laws.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
+from greybox.residual.laws.terms import Memory, Term
 from scenarios.plants.outside import RelaxingDrag, SloshingMass
 from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights

@@ -9,12 +9,12 @@ import pytest
 
 from greybox.data import Dataset
 from greybox.discovery.certificate import Certificate
-from greybox.discovery.gap import Foresight
 from greybox.discovery.name import impossible, judged
 from greybox.discovery.rules import RULES, Rules
 from greybox.discovery.workflow import discover
 from greybox.discovery.worth import seconds, worth
 from greybox.errors import ModelError
+from greybox.validation.gap import Foresight
 from tests.discovery import small_world
 from tests.residual import hybrid_cases
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from greybox.data import dataset_from_arrays
-from greybox.discovery.differences import widened
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.differences import widened
 from greybox.estimation.fit import fit
 from greybox.estimation.gain import stationary
 from greybox.estimation.lost_commands import LOST, Pushes, lost_commands

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from greybox.errors import FileFormatError, VehicleError
+from greybox.data.readers.mapping import read_mapping
+from greybox.errors import DataError, FileFormatError, VehicleError
 from greybox.files import MOST_CONTAINERS
 from greybox.model.vehicle import read_vehicle
 from greybox.model.vehicle_template import template_text
+from greybox.residual import array_file
+from greybox.residual.array_file import load_arrays
 from greybox.residual.files import load_model
+from greybox.simulators.sources import crazyflow
 from tests.hardening import hostile
 
 CHILD = """
@@ -81,22 +88,85 @@ def test_a_file_without_end_is_refused() -> None:
         read_vehicle("/dev/zero")
 
 
+READERS = {"vehicle": read_vehicle, "mapping": read_mapping, "parameters": crazyflow.tables}
+"""Whatever reads the TOML of a stranger."""
+
+
+@pytest.mark.parametrize("reader", READERS)
 @pytest.mark.parametrize(
     "line",
     [
         ".".join("a" * 100_000) + " = 1",
+        "[" + ".".join("a" * 50_000) + "]",
         "x = " + "[" * 50_000,
+        "x = " + "{a=" * 20_000 + "1" + "}" * 20_000,
         "x = 0x" + "F" * 100_000,
         "mass = " + "9" * 6000,
-        "mass = 1e999",
+        "when = 2026-99-99",
     ],
 )
-def test_costly_lines_of_vehicle_files_are_refused(line: str, tmp_path: Path) -> None:
+def test_costly_lines_of_toml_are_refused(line: str, reader: str, tmp_path: Path) -> None:
     path = tmp_path / "v.toml"
     path.write_text(f"{line}\n{template_text('x')}")
-    with pytest.raises((VehicleError, KeyError)) as caught:
-        read_vehicle(path)
+    if reader == "parameters" and "0x" in line:
+        assert READERS[reader](path) == {}  # a number, and no craft
+        return
+    with pytest.raises((VehicleError, DataError, KeyError)) as caught:
+        READERS[reader](path)
     assert len(str(caught.value)) < 2000
+
+
+@pytest.mark.parametrize("depth", [150, 50_000])
+def test_nesting_is_no_syntax_error(depth: int, tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text("x = " + "[" * depth + "]" * depth)
+    with pytest.raises(DataError, match="wrong schema" if depth < 200 else "nested too deeply"):
+        read_mapping(path)
+
+
+def archive(path: Path, entries: dict[str, tuple[int, int]]) -> None:
+    """An .npz whose arrays declare some numbers and hold some zero bytes: name -> (numbers, bytes)."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, (declared, held) in entries.items():
+            with file.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                form = {"descr": "<f8", "fortran_order": False, "shape": (declared,)}
+                np.lib.format.write_array_header_1_0(entry, form)  # type: ignore[arg-type]
+                for _ in range(held >> 20):
+                    entry.write(bytes(1 << 20))
+
+
+@pytest.mark.parametrize(
+    ("entries", "said"),
+    [
+        ({"a": (5 << 17, 5 << 20)}, "unpack to more than 4 MiB"),
+        ({"a": (3 << 17, 3 << 20), "b": (3 << 17, 3 << 20)}, "unpack to more than 4 MiB"),
+        ({"a": (10**15, 1 << 20)}, "cannot read the arrays"),
+    ],
+)
+def test_a_bomb_of_arrays_is_refused(
+    entries: dict[str, tuple[int, int]],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(array_file, "LARGEST_ARRAYS", 4 << 20)
+    archive(tmp_path / "gp.npz", entries)
+    assert (tmp_path / "gp.npz").stat().st_size < 100_000
+    with pytest.raises(FileFormatError, match=said):
+        load_arrays(tmp_path / "gp.npz")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\3\4", b"\x93NUMPY", b"text"])
+def test_what_is_no_archive_of_arrays_is_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "gp.npz").write_bytes(content)
+    with pytest.raises(FileFormatError, match="cannot read the arrays"):
+        load_arrays(tmp_path / "gp.npz")
+
+
+def test_a_pipe_of_arrays_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "gp.npz")
+    with pytest.raises(FileFormatError, match="no such file of arrays"):
+        load_arrays(tmp_path / "gp.npz")
 
 
 def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ import pytest
 from craft import X250, function, model_of, vector, vehicle_of
 
 import greybox as gb
-from greybox.discovery.gap import foresee
 from greybox.errors import ModelError
 from greybox.model.effect import Effect, Remembered
 from greybox.model.effect_check import check_effect
 from greybox.model.model import PhysicsModel, build_model
+from greybox.validation.gap import foresee
 from scenarios.plants.outside import RelaxingDrag
 from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights

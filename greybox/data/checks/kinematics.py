@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.data.checks import mixture
 from greybox.data.checks.finding import Finding, Outcome, Severity, Unjudged
 from greybox.data.checks.relations import (
     SEEN,
@@ -20,10 +21,12 @@ from greybox.data.checks.relations import (
     Factor,
     Moments,
     Reading,
+    Tried,
     better_reading,
     factor,
     far_better,
     joined,
+    mixed,
     moments,
 )
 from greybox.data.checks.view import View
@@ -73,7 +76,7 @@ class Related:
     without a delay, and the size of the motion."""
 
     streams: Streams
-    sums: tuple[tuple[str, str, Moments], ...]
+    tried: tuple[Tried, ...]
     prompt: Moments | None
     size: float
     sample: float
@@ -81,7 +84,7 @@ class Related:
     @property
     def given(self) -> Moments:
         """Sums of the reading given."""
-        return self.sums[0][2]
+        return self.tried[0].sums
 
 
 def related(relation: Relation, view: View) -> Related | str:
@@ -96,28 +99,37 @@ def related(relation: Relation, view: View) -> Related | str:
     size = float(np.sqrt((y**2).sum(axis=1).mean())) if y.size else 0.0
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
-    sums: list[tuple[str, str, Moments]] = []
+    tried: list[Tried] = []
     for reading in streams.readings:
-        if sums and _share(sums[0][2]) > WHOLE:
+        if tried and _share(tried[0].sums) > WHOLE:
             break
         found = moments(reading, view.dt, streams.span, REACH)
         if found is not None:
-            sums.append((reading.text, reading.fix, found))
-        elif not sums:
+            between = mixed(first, reading, view.dt, streams.span, tried[0].sums.lag) if tried else None
+            tried.append(Tried(text=reading.text, fix=reading.fix, sums=found, mixed=between))
+        elif not tried:
             return "too short"
     prompt = moments(first, view.dt, streams.span, 0.0)
-    return Related(streams=streams, sums=tuple(sums), prompt=prompt, size=size, sample=view.dt)
+    return Related(streams=streams, tried=tuple(tried), prompt=prompt, size=size, sample=view.dt)
 
 
 def together(parts: Sequence[Related]) -> Related:
     """Several flights as one, with the readings that all have."""
-    texts = [t for t, _, _ in parts[0].sums if all(t in [s[0] for s in p.sums] for p in parts)]
-    sums = []
+    texts = [t.text for t in parts[0].tried if all(t.text in [s.text for s in p.tried] for p in parts)]
+    tried = []
     for text in texts:
-        found = [next(s for s in p.sums if s[0] == text) for p in parts]
-        sums.append((text, found[0][1], joined([f[2] for f in found])))
+        found = [next(s for s in p.tried if s.text == text) for p in parts]
+        between = [f.mixed for f in found if f.mixed is not None]
+        tried.append(
+            Tried(
+                text=text,
+                fix=found[0].fix,
+                sums=joined([f.sums for f in found]),
+                mixed=mixture.joined(between) if between else None,
+            )
+        )
     size = float(np.sqrt(np.mean([p.size**2 for p in parts])))
-    return Related(streams=parts[0].streams, sums=tuple(sums), prompt=None, size=size, sample=parts[0].sample)
+    return Related(streams=parts[0].streams, tried=tuple(tried), prompt=None, size=size, sample=parts[0].sample)
 
 
 def judge(relation: Relation, views: Sequence[View]) -> tuple[list[Outcome], dict[str, Related]]:
@@ -153,7 +165,7 @@ def _share(sums: Moments) -> float:
 
 
 def _better(relation: Relation, found: Related) -> Better | None:
-    return better_reading(found.sums, found.streams.axes, relation.fix)
+    return better_reading(found.tried, found.streams.axes, relation.fix)
 
 
 def _misread(relation: Relation, flight: str, found: Related, better: Better, flights: int = 1) -> Finding:

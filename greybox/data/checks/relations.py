@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from greybox.data.checks.mixture import Mixture, mixture
 from greybox.data.checks.signals import FloatArray
 
 BLOCK = 2.0
@@ -103,6 +104,16 @@ class Moments:
         return np.asarray(left @ turn @ right, dtype=np.float64)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tried:
+    """A reading with its sums; `mixed` with those of the reading given where both foretell one y."""
+
+    text: str
+    fix: str
+    sums: Moments
+    mixed: Mixture | None = None
+
+
 def joined(parts: Sequence[Moments]) -> Moments:
     """The blocks of several flights together, each at its own lag."""
     return Moments(
@@ -113,25 +124,48 @@ def joined(parts: Sequence[Moments]) -> Moments:
     )
 
 
+def _rows(
+    y: FloatArray, x: FloatArray, dt: float, span: int, lags: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]] | None:
+    """(rows at which y, and x at all of these lags [samples], are known; where blocks of them start);
+    None where fewer than `FEWEST_BLOCKS` blocks are left."""
+    most = int(np.abs(lags).max())
+    rows = np.arange(most, y.shape[0] - most, max(1, span // 8))
+    rows = rows[np.isfinite(y[rows]).all(axis=1)]
+    there = np.asarray(np.isfinite(x).all(axis=1))
+    rows = rows[there[rows[:, None] - lags].all(axis=1)]
+    if rows.size < 20:
+        return None
+    length = max(min(BLOCK / dt, (rows[-1] - rows[0]) / 8.0), 1.0)
+    starts = np.flatnonzero(np.diff(rows // length, prepend=-1.0) > 0)
+    return (rows, starts) if starts.size >= FEWEST_BLOCKS else None
+
+
+def mixed(given: Reading, other: Reading, dt: float, span: int, lag: float) -> Mixture | None:
+    """Sums that say where y stands between two readings of it, at one lag [s]; None where y is not
+    the same, or too few rows are left."""
+    if other.y is not given.y:
+        return None
+    late = np.array([round(lag / dt)])
+    found = _rows(given.y, given.x + other.x, dt, span, late)
+    if found is None:
+        return None
+    rows, starts = found
+    return mixture(given.y[rows], given.x[rows - late], other.x[rows - late], starts)
+
+
 def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | None:
     """The sums of a reading; None where fewer than `FEWEST_BLOCKS` blocks are left.
 
     Clocks wander, so every block has its own lag within `reach` [s]: the one at which y and x are
     most alike, in whatever axes.
     """
-    n = reading.y.shape[0]
     most, step = round(reach / dt), max(1, round(LAG_STEP / dt))
     lags = step * np.arange(-(most // step), most // step + 1)
-    rows = np.arange(most, n - most, max(1, span // 8))
-    rows = rows[np.isfinite(reading.y[rows]).all(axis=1)]
-    there = np.asarray(np.isfinite(reading.x).all(axis=1))
-    rows = rows[there[rows[:, None] - lags].all(axis=1)]
-    if rows.size < 20:
+    found = _rows(reading.y, reading.x, dt, span, lags)
+    if found is None:
         return None
-    length = max(min(BLOCK / dt, (rows[-1] - rows[0]) / 8.0), 1.0)
-    starts = np.flatnonzero(np.diff(rows // length, prepend=-1.0) > 0)
-    if starts.size < FEWEST_BLOCKS:
-        return None
+    rows, starts = found
     y = reading.y[rows]
     x = reading.x[rows - lags[:, None]]
     cross = np.add.reduceat(y[:, :, None] * x[:, :, None, :], starts, axis=1)
@@ -217,25 +251,31 @@ def far_better(
     return share if clear or float(ahead(more, less)[0]) > APART * jackknife(ahead(*parts)) else None
 
 
-def better_reading(
-    readings: Sequence[tuple[str, str, Moments]], names: tuple[str, str, str], fix: str
-) -> Better | None:
-    """The reading that explains the motion far better than the first of (text, fix, sums).
+def nearer(between: Mixture | None) -> bool:
+    """Whether the data are nearer to the other reading than to the one given, by `CLEAR` standard errors."""
+    if between is None:
+        return False
+    weight, others = between.weights()
+    return bool(weight - 0.5 > CLEAR * jackknife(others))
+
+
+def better_reading(readings: Sequence[Tried], names: tuple[str, str, str], fix: str) -> Better | None:
+    """The reading that explains the motion far better than the first, or that the data are nearer to.
 
     `names` are those of x's axes, `fix` what to do where these are exchanged or turned. Of readings
     that explain about the same the simplest is taken: another frame, then the fewest axes.
     """
-    given = readings[0][2]
+    given = readings[0].sums
     share = float(given.total().share(EYE)[0])
     every: tuple[int, ...] = (0, 1, 2)
-    tried: list[tuple[str, str, Moments, Matrix, tuple[int, ...], int]] = []
-    tried += [(text, how, sums, EYE, every, 0) for text, how, sums in readings[1:]]
-    tried += [(t.format(*names), fix, given, m, rows, len(rows)) for t, m, rows in axis_readings()]
+    tried = [(r, EYE, every, 0) for r in readings[1:]]
+    for text, matrix, rows in axis_readings():
+        tried.append((Tried(text=text.format(*names), fix=fix, sums=given), matrix, rows, len(rows)))
     good = []
-    for text, how, sums, turn, rows, rank in tried:
-        if far_better(sums, given, turn, rows) is not None:
-            whole = float(sums.total().share(turn)[0])
-            good.append((rank, Better(text=text, fix=how, share=whole, given_share=share)))
+    for one, turn, rows, rank in tried:
+        whole = float(one.sums.total().share(turn)[0])
+        if far_better(one.sums, given, turn, rows) is not None or (whole > max(share, SEEN) and nearer(one.mixed)):
+            good.append((rank, Better(text=one.text, fix=one.fix, share=whole, given_share=share)))
     turned = _turned(given, names, fix)
     if not good:
         return turned

@@ -21,15 +21,14 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from greybox.data.channel import GROUPS, group_names
 from greybox.data.readers.recording import FRAMES, UNITS, Source
 from greybox.errors import DataError, UnknownNameError
+from greybox.files import read_toml
 
 SCHEMA = "greybox.mapping/1"
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -59,14 +58,7 @@ class LogMapping:
 def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
     """Read a mapping file. Raises `DataError` and `UnknownNameError`, which name the file and the key."""
     where = os.fspath(path)
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError("no such mapping file", where=where, fix="check the path") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read the mapping file: {error}", where=where, fix="pass a TOML file") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise DataError(f"not TOML ({error})", where=where, fix="mind quotes and brackets") from None
+    content = read_toml(path, what="mapping file", error=DataError)
     if content.get("schema") != SCHEMA:
         raise DataError(
             "wrong schema", where=where, expected=SCHEMA, got=repr(content.get("schema")), fix=f'schema = "{SCHEMA}"'

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from greybox.errors import VehicleError
-from greybox.files import read_limited
+from greybox.files import read_toml
 from greybox.simulators.sources.found import Found, used
 from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.symbolic import FloatArray
@@ -22,10 +21,7 @@ NEEDED = ("mass", "J", "L", "mixing_matrix", "rpm2thrust", "rpm2torque")
 
 def tables(path: Path) -> dict[str, dict[str, Any]]:
     """The sections of a file that have rpm2thrust. Raises `VehicleError` for what is no TOML."""
-    try:
-        data = tomllib.loads(read_limited(path, LARGEST).decode("utf-8"))
-    except ValueError as error:
-        raise VehicleError(f"not valid TOML: {error}", where=str(path)) from None
+    data = read_toml(path, what="file of parameters", error=VehicleError, largest=LARGEST)
     return {k: v for k, v in data.items() if isinstance(v, dict) and "rpm2thrust" in v}
 
 

@@ -52,7 +52,7 @@ class Memory:
 class Term:
     """One column: `text` for people, `code` for an effect file (CasADi, `flow`), signals it `uses`, values (N,).
 
-    With a `memory` the column is what that keeps of `code` (greybox.discovery.lagged)."""
+    With a `memory` the column is what that keeps of `code` (greybox.residual.laws.lagged)."""
 
     text: str
     code: str

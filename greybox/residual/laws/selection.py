@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.discovery.responses import Normal
+from greybox.residual.laws.responses import Normal
 from greybox.symbolic import FloatArray
 
 HALVES = 30

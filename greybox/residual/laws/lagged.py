@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.signal
 
-from greybox.discovery.terms import Memory, Term, signals
 from greybox.model.vehicle import Vehicle
+from greybox.residual.laws.terms import Memory, Term, signals
 from greybox.symbolic import FloatArray
 
 TIMES = (0.1, 0.3, 1.0, 3.0)

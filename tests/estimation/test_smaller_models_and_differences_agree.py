@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from greybox.discovery.cause import offer
-from greybox.discovery.differences import widened
 from greybox.discovery.evidence import Flights
+from greybox.estimation.differences import widened
 from greybox.estimation.problem import Problem, make_problem
 from greybox.symbolic import FloatArray
 from tests.discovery import small_world

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.discovery.gap import GapRow, Squares, gap, groups_of, outgrown
+from greybox.validation.gap import GapRow, Squares, gap, groups_of, outgrown
 
 KEY = ("rate", 0.5)
 

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown, flying_model
 from greybox.errors import GreyboxError
 from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import Problem, make_problem
+from greybox.planning.manoeuvres import LIBRARY, SECONDS, Manoeuvre, flown, flying_model
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 

@@ -7,10 +7,10 @@ import functools
 import numpy as np
 import pytest
 
-from greybox.discovery.experiment import Separation, separating_manoeuvre, separations
-from greybox.discovery.manoeuvres import LIBRARY, Manoeuvre, flown
 from greybox.estimation.fit import Fit, fit
 from greybox.model.model import build_model
+from greybox.planning.experiment import Separation, separating_manoeuvre, separations
+from greybox.planning.manoeuvres import LIBRARY, Manoeuvre, flown
 from scenarios.plants.effects import RotorDrag
 from tests.discovery import small_world
 

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.discovery.lagged import remembered_terms
-from greybox.discovery.terms import Term, terms
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.gain import Linearisation
 from greybox.model.identified import IdentifiedModel
 from greybox.residual.discrepancy import feature_function, smoothed_features
+from greybox.residual.laws.lagged import remembered_terms
+from greybox.residual.laws.terms import Term, terms
 from greybox.symbolic import FloatArray
 
 STRETCHES, MOST = 10, 40

@@ -1,0 +1,72 @@
+"""Between two readings of the same columns: how far the data stand on the way from one to the other.
+
+Two readings predict the same motion y by x and by x + d (body or world axes, say). Where the craft
+stays nearly level and at one heading d is small, so that both explain about as much of y, and
+comparing these shares says nothing. But y = M x + w d, with any constant matrix M, holds with w = 0
+where the first reading is true and with w = 1 where the second is: mounting, factors and axes go
+into M, and what is left of d is what no constant matrix makes of x. The partial regression of
+Frisch and Waugh (Econometrica 1(4), 1933) gives w without solving for M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data.checks.signals import FloatArray
+
+LEAST = 1e-9
+"""A share of d below which M x explains all of it: rounding."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mixture:
+    """Sums over blocks of time (B, 3, 3): x x^T, x d^T, d d^T, x y^T and d y^T."""
+
+    xx: FloatArray
+    xd: FloatArray
+    dd: FloatArray
+    xy: FloatArray
+    dy: FloatArray
+
+    def weights(self) -> tuple[float, FloatArray]:
+        """Weight w of the second reading, and the weights (B,) with one block left out each; w is
+        NaN where the readings differ by a constant matrix alone."""
+        every = [np.asarray(m.sum(axis=0)) for m in (self.xx, self.xd, self.dd, self.xy, self.dy)]
+        blocks = (self.xx, self.xd, self.dd, self.xy, self.dy)
+        others = [total - part for total, part in zip(every, blocks, strict=True)]
+        return float(_weight([m[None] for m in every])[0]), _weight(others)
+
+
+def mixture(y: FloatArray, x: FloatArray, other: FloatArray, starts: npt.NDArray[np.int64]) -> Mixture:
+    """Sums of rows of y, x and the other reading's x, (N, 3) each; `starts` (B,) are the blocks' first rows."""
+    d = other - x
+
+    def sums(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(a[:, :, None] * b[:, None, :], starts, axis=0))
+
+    return Mixture(xx=sums(x, x), xd=sums(x, d), dd=sums(d, d), xy=sums(x, y), dy=sums(d, y))
+
+
+def joined(parts: Sequence[Mixture]) -> Mixture:
+    """The blocks of several flights together."""
+    return Mixture(
+        xx=np.concatenate([p.xx for p in parts]),
+        xd=np.concatenate([p.xd for p in parts]),
+        dd=np.concatenate([p.dd for p in parts]),
+        xy=np.concatenate([p.xy for p in parts]),
+        dy=np.concatenate([p.dy for p in parts]),
+    )
+
+
+def _weight(sums: Sequence[FloatArray]) -> FloatArray:
+    """w (B,) from sums (B, 3, 3) each."""
+    xx, xd, dd, xy, dy = sums
+    through = xd.swapaxes(1, 2) @ np.linalg.pinv(xx, hermitian=True)
+    left = np.trace(dd - through @ xd, axis1=1, axis2=2)
+    told = np.trace(dy - through @ xy, axis1=1, axis2=2)
+    seen = left > LEAST * np.trace(dd, axis1=1, axis2=2)
+    return np.where(seen, told / np.where(seen, left, 1.0), np.nan)

@@ -1,0 +1,33 @@
+"""Learner: what may be learned on top of a model, as the features of a last layer that is linear.
+
+    g_j(z) = s_j phi(x)'theta_j,   x = (z - mean)/scale,   theta_j ~ N(0, 1/strength)
+
+A learner makes phi from what the physics missed on the training flights; everything else is common:
+the weights theta are fitted by multi-step errors through the physics (`greybox.residual.open_loop_fit`),
+their strength is chosen on left-out flights, their covariance is the uncertainty, and it is calibrated
+and exported like that of the Gaussian process, whose features are those of its support points.
+(Bayesian last layer: Snoek et al. 2015, ICML; Harrison, Sharma and Pavone 2018, WAFR.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol, runtime_checkable
+
+from greybox.symbolic import Expr, FloatArray
+
+Features = Callable[[Expr], Expr]
+"""phi: a CasADi column x (n_in) of standardised inputs -> a column of features (M)."""
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """A way to make features. A user's own is a class without arguments, one file."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in files and tables."""
+
+    def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
+        """Candidates by name, which compete on left-out flights: x (N, n_in) standardised inputs, y (N, n_out) the force,
+        torque or other push that the physics missed there, in units of its spread. About `points` features each."""

@@ -1,0 +1,155 @@
+"""How strong the prior of a learned part is: chosen on kinds of flight that its weights did not see.
+
+Everything happens in the quadratic model of the multi-step cost around zero weights, from the normal equations of stretches
+of flight. Where the features themselves were made from flights (a network, a law), they are made again without the
+judged ones (`Maker`): features that have seen what they foretell foretell it anyhow.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from greybox.residual.weight_space import Candidate
+from greybox.symbolic import BoolArray, FloatArray
+
+HARM = 1e-4
+"""Share by which a choice may raise the left-out errors of a channel group (rounding, not harm)."""
+
+
+class Maker(Protocol):
+    """Makes candidates again from some of the rows that they were made of."""
+
+    @property
+    def flights(self) -> tuple[str, ...]:
+        """Flight of every row, rows of a flight in order of time."""
+
+    def again(self, label: str, rows: BoolArray) -> Candidate | None:
+        """The candidate of this name from `rows` (N,); None where they offer none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Normal:
+    """Normal equations of a stretch of flight by channel group (rate, rotation, ...): cost (C,), gradient g (C, P) and
+    Gauss-Newton Hessian h (C, P, P) in theta."""
+
+    cost: FloatArray
+    gradient: FloatArray
+    hessian: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """One left-out fold: Hessian (P, P) and gradient (P,) of all other stretches, and its own by channel group."""
+
+    left_hessian: FloatArray
+    left_gradient: FloatArray
+    hessian: FloatArray
+    gradient: FloatArray
+
+
+def total(parts: Sequence[Normal], what: str) -> FloatArray:
+    """Sum over stretches and channel groups."""
+    return np.asarray(np.sum([getattr(n, what).sum(axis=0) for n in parts], axis=0))
+
+
+def by_channel(parts: Sequence[Normal], what: str) -> FloatArray:
+    """Sum over stretches, channel groups apart."""
+    return np.asarray(np.sum([getattr(n, what) for n in parts], axis=0))
+
+
+def folds_of(owners: Sequence[str]) -> list[list[int]]:
+    """Which parts are left out together: those of one owner (a kind of flight; a stretch, where there are few flights)."""
+    return [[i for i, o in enumerate(owners) if o == n] for n in dict.fromkeys(owners)]
+
+
+def judged(parts: Sequence[Normal], folds: Sequence[Sequence[int]]) -> list[Judged]:
+    """Each of the `folds` left out of all `parts`."""
+    whole_h, whole_g = total(parts, "hessian"), total(parts, "gradient")
+    out = []
+    for fold in folds:
+        own = [parts[i] for i in fold]
+        h, g = by_channel(own, "hessian"), by_channel(own, "gradient")
+        out.append(
+            Judged(left_hessian=whole_h - h.sum(axis=0), left_gradient=whole_g - g.sum(axis=0), hessian=h, gradient=g)
+        )
+    return out
+
+
+def choose(
+    found: Sequence[Judged], cost: FloatArray, outputs: Sequence[str], strengths: Sequence[float]
+) -> tuple[FloatArray, float]:
+    """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost; share of it saved.
+
+    `cost` (C,) of the channel groups without a learned part. Outputs of a group (force, torque) share one strength. A
+    choice must not raise the left-out errors of any channel group, whatever it saves elsewhere. Among choices within one
+    standard error of the best the strongest prior wins.
+    """
+    groups = [n.split(".")[0] for n in outputs]
+    kinds = list(dict.fromkeys(groups))
+    results: dict[tuple[float, ...], FloatArray] = {}
+    for choice in itertools.product(strengths, repeat=len(kinds)):
+        saved = np.zeros((len(found), len(cost)))
+        for i, fold in enumerate(found):
+            m = fold.left_gradient.size // len(groups)
+            prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
+            on = np.isfinite(prior)
+            if not on.any():
+                continue
+            at = np.ix_(on, on)
+            theta = -np.linalg.solve(fold.left_hessian[at] + np.diag(prior[on]), fold.left_gradient[on])
+            bent = fold.hessian[:, on][:, :, on] @ theta
+            saved[i] = -(2 * fold.gradient[:, on] @ theta + bent @ theta)
+        if (saved.sum(axis=0) >= -HARM * cost).all():
+            results[choice] = saved.sum(axis=1)
+    best = max(results, key=lambda c: float(results[c].sum()))
+    margin = results[best]
+    keep = [
+        c
+        for c, saved in results.items()
+        if (margin - saved).sum() <= np.sqrt(len(found)) * (margin - saved).std(ddof=1) + 1e-12
+    ]
+    strongest = max(keep, key=lambda c: (sum(np.log10(min(v, 1e6)) for v in c), float(results[c].sum())))
+    share = float(results[strongest].sum() / cost.sum())
+    return np.array([strongest[kinds.index(g)] for g in groups]), share
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Halves:
+    """The flights in two halves: `of_part` says the half of every part, `rows` (2, N) the rows of a maker by half."""
+
+    of_part: list[int]
+    rows: BoolArray
+
+    @classmethod
+    def of(
+        cls, flights: Sequence[str], kinds: Mapping[str, int], blocks: int, lengths: Sequence[int], rows: Sequence[str]
+    ) -> Halves:
+        """Kinds of flight in turn into one half and the other; a single flight is cut in the middle.
+
+        `flights` and `lengths`: name and samples of every record, each of which is `blocks` parts.
+        """
+        if len(kinds) > 1:
+            order = {k: i % 2 for i, k in enumerate(dict.fromkeys(kinds.values()))}
+            side = {f: order[k] for f, k in kinds.items()}
+            of_part = [side[f] for f in flights for _ in range(blocks)]
+            first = np.array([side.get(f, 0) == 0 for f in rows])
+        else:
+            begins = np.cumsum([0, *lengths])
+            middle = begins[-1] / 2
+            of_part = [
+                int(begin + n * (b + 0.5) / blocks > middle)
+                for begin, n in zip(begins, lengths, strict=False)
+                for b in range(blocks)
+            ]
+            first = np.arange(len(rows)) < len(rows) / 2
+        return cls(of_part=of_part, rows=np.stack([first, ~first]))
+
+    def judged(self, parts: Sequence[Sequence[Normal]], folds: Sequence[Sequence[int]]) -> list[Judged]:
+        """`parts[h]` are of features made from half h: every fold is judged by those that were not made from it."""
+        both = [judged(own, folds) for own in parts]
+        return [both[1 - self.of_part[fold[0]]][i] for i, fold in enumerate(folds)]

@@ -1,0 +1,112 @@
+"""A learned part in weight space: what `fit_open_loop` asks of a candidate, whatever its features are.
+
+g_j(z) = s_j psi_j(x)'theta_j with theta ~ N(0, I) before the data. Of a Gaussian process psi_j = L_j^-1 k_j(support, x) with
+K = L L'; of a learner's features psi = phi for every output. The two kinds differ in this file and nowhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from greybox.residual.feature_posterior import FeaturePosterior
+from greybox.residual.posterior import GPPosterior
+from greybox.residual.sparse import safe_cholesky, variational
+from greybox.symbolic import Expr, FloatArray, evaluate
+
+Candidate = GPPosterior | FeaturePosterior
+"""A learned part whose features are chosen and whose weights are open."""
+
+
+def learned_numbers(post: Candidate) -> int:
+    """How many numbers were learned: weights, and of a Gaussian process its support points and hyper-parameters."""
+    if isinstance(post, FeaturePosterior):
+        return int(post.weights.size)
+    return int(post.support.size + post.weights.size) + len(post.outputs) * (len(post.inputs) + 2)
+
+
+def factors(post: Candidate) -> list[FloatArray]:
+    """L_j per output; nothing of features, which are white already."""
+    if isinstance(post, FeaturePosterior):
+        return []
+    support = post.support.T
+    return [safe_cholesky(k.covariance(support, support))[0] for k in post.kernels]
+
+
+def whitened(post: Candidate, lower: list[FloatArray], x: FloatArray) -> list[FloatArray]:
+    """psi_j (N, M) of every output at standardised inputs x (n_in, N); outputs that share share the array."""
+    if isinstance(post, FeaturePosterior):
+        return [evaluate(post.phi, np.ascontiguousarray(x.T))] * len(post.outputs)
+    known: dict[int, FloatArray] = {}
+    for j, kernel in enumerate(post.kernels):
+        if id(kernel) not in known:
+            known[id(kernel)] = np.linalg.solve(lower[j], kernel.covariance(post.support.T, x)).T
+    return [known[id(k)] for k in post.kernels]
+
+
+def plain_weights(post: Candidate, lower: list[FloatArray], theta: FloatArray) -> FloatArray:
+    """Weights (P,) as `weighted` takes them, of whitened theta (P,)."""
+    if isinstance(post, FeaturePosterior):
+        return theta
+    parts = theta.reshape(len(post.outputs), post.points)
+    return np.concatenate([np.linalg.solve(f.T, v) for f, v in zip(lower, parts, strict=True)])
+
+
+def weighted(post: Candidate, z: Expr, weights: Expr) -> Expr:
+    """The push (n_out,) at features z (n_in) for plain weights (P,), output by output."""
+    x, m = (z - post.input_mean) / post.input_scale, post.points
+    if isinstance(post, FeaturePosterior):
+        phi = post.phi(x)
+        return ca.vertcat(*(s * ca.dot(weights[j * m : (j + 1) * m], phi) for j, s in enumerate(post.output_scale)))
+    known: dict[int, Expr] = {}
+    out = []
+    for j, kernel in enumerate(post.kernels):
+        if id(kernel) not in known:
+            known[id(kernel)] = kernel.covariance(post.support.T, x, ca)
+        out.append(post.output_scale[j] * ca.dot(weights[j * m : (j + 1) * m], known[id(kernel)]))
+    return ca.vertcat(*out)
+
+
+def silent(post: Candidate) -> Candidate:
+    """The same with no weights: it says nothing."""
+    if isinstance(post, FeaturePosterior):
+        return replace(post, weights=np.zeros_like(post.weights), root=np.zeros_like(post.root))
+    zero = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
+    return replace(post, **zero)
+
+
+def fitted(
+    post: Candidate, theta: FloatArray, covariance: FloatArray, prior: FloatArray, factor: FloatArray
+) -> Candidate:
+    """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an output that is off is empty.
+
+    A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the data is
+    that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.
+    """
+    m = post.points
+    on = [j for j in range(len(post.outputs)) if np.isfinite(prior[j])]
+    roots = {}
+    for j in on:
+        rows = slice(j * m, (j + 1) * m)
+        block = covariance[rows, rows]
+        roots[j] = np.asarray(np.linalg.cholesky(0.5 * (block + block.T)), dtype=np.float64)
+    if isinstance(post, FeaturePosterior):
+        weights, root, before = np.zeros_like(post.weights), np.zeros_like(post.root), post.prior.copy()
+        for j in on:
+            weights[:, j] = theta[j * m : (j + 1) * m]
+            root[j] = np.sqrt(factor[j]) * roots[j].T
+            before[j] = factor[j] / prior[j]
+        return replace(post, weights=weights, root=root, prior=before)
+    scale = post.output_scale.copy()
+    arrays = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain")}
+    for j in on:
+        rows, size = slice(j * m, (j + 1) * m), np.sqrt(prior[j] / factor[j])
+        numbers = variational(post.kernels[j], post.support.T, size * theta[rows], np.sqrt(prior[j]) * roots[j])
+        arrays["weights"][:, j] = numbers.weights
+        arrays["explained"][j], arrays["uncertain"][j] = numbers.explained, numbers.uncertain
+        scale[j] /= size
+    return replace(
+        post, method="svgp", output_scale=scale, output_mean=np.zeros(len(post.outputs)), variance_factor=(), **arrays
+    )
