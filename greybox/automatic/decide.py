@@ -1,8 +1,9 @@
 """decide: from flights and a vehicle file to the recipe of a fit, every choice with its reason.
 
 1. Of two numbers of which flights show the ratio alone the better known one is held.
-2. Gyro and accelerometer get a low-pass filter where the innovations of the first set are not white
-   and BIC clearly asks for it: a filter that is left out looks like more lag of the motors.
+2. Gyro and accelerometer get a low-pass filter and coloured noise where the innovations of the
+   first set are not white and BIC clearly asks for it: a filter that is left out looks like more
+   lag of the motors, colour that is left out like a slower filter.
 3. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
    every flight, with disturbance states of force and torque, and foretell the part left out. The
    smallest set within one standard error of the best is taken, less the steps that nothing feels.
@@ -22,9 +23,9 @@ import scipy.stats
 from greybox.automatic.facts import WANDER, Facts
 from greybox.automatic.filters import (
     described,
-    filtering,
     is_felt,
-    offered_filters,
+    offered_parts,
+    with_noise_parts,
     without_noise_of,
 )
 from greybox.automatic.foretell import Score, foretell
@@ -448,12 +449,12 @@ class _Decider:
     def _filters(
         self, options: FitOptions, first: Candidate, parts: tuple[Dataset, Dataset]
     ) -> tuple[FitOptions, Candidate]:
-        """A filter of gyro and accelerometer where BIC clearly asks for it. A pose that is as late
-        as a filtered IMU hides it: the two are tried together."""
+        """Filters and colour of gyro and accelerometer where BIC clearly asks for them. A pose that
+        is as late as a filtered IMU hides it: the two are tried together."""
         if "noise_parts" in self.given.choices:
             return options, first
-        offered = () if self.kinematic_noise else offered_filters(first.likelihood)
-        reason = "none is longer than nothing within its error, and as short as that of an IMU"
+        offered = () if self.kinematic_noise else offered_parts(first.likelihood)
+        reason = "no time constant is longer than nothing within its error and possible"
         if self.kinematic_noise:
             reason = "the clocks of gyro and attitude wander by more than a filter is late"
         elif not offered:
@@ -463,7 +464,7 @@ class _Decider:
             clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
-            own = filtering(options, offered, first.fit.model.physics)
+            own = with_noise_parts(options, offered, first.likelihood)
             again = self._try(steps, own, first, parts)
             if again is None:
                 reason = "no fit with one"
@@ -476,17 +477,17 @@ class _Decider:
             better, error = again.score.better_by(first.score)
             if gain > CLEAR_EVIDENCE and better > -error:
                 self._note(
-                    "filter of the IMU",
+                    "noise of the IMU",
                     ", ".join(described(p, again.likelihood) for p in offered),
                     f"its innovations are not white, and BIC falls by {gain:.0f}"
-                    f"{' together with a late pose' if steps != first.steps else ''}; left out it "
-                    "would look like more lag of the motors",
+                    f"{' together with a late pose' if steps != first.steps else ''}; a filter "
+                    "that is left out looks like more lag of the motors",
                     "--noise-parts",
                 )
                 return own, again
             reason = f"BIC falls by {gain:.0f}, the score ahead by {better:.3f} +- {error:.3f}"
             break
-        self._note("filter of the IMU", "none", reason, "--noise-parts")
+        self._note("noise of the IMU", "white", reason, "--noise-parts")
         return options, first
 
     def _pose_may_be_late(self) -> bool:
@@ -557,7 +558,7 @@ def _as_good(one: Candidate, best: Candidate) -> bool:
 
 def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
     """`options` from the estimates of one fit and the noise levels of another, less those of
-    effects that are `dropped`."""
+    effects that are `dropped`. Levels that the other has not stay as they are."""
     values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
     levels = noise_of(noise.model)
     for part in set(start.settings["noise_parts"]) - set(options.noise_parts):
@@ -565,7 +566,9 @@ def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> Fit
     held = {n: v for n, v in options.noise.items() if n in options.held_noise}
     levels = {n: v for n, v in levels.items() if not n.startswith(tuple(f"{h}." for h in held))}
     return options.but(
-        values={**values, **options.values}, noise={**levels, **held}, initialisation="nominal"
+        values={**values, **options.values},
+        noise={**options.noise, **levels, **held},
+        initialisation="nominal",
     )
 
 

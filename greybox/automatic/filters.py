@@ -1,7 +1,10 @@
-"""Low-pass filters of gyro and accelerometer: which are offered, and which are felt.
+"""Noise of gyro and accelerometer: filters and colour, which are offered, and which are felt.
 
 An IMU that is filtered at 30 Hz answers 5 ms late. Left out, that is taken for lag of the motors and
-motion that the gyro did not see; as a part of the model it is a time constant with an error.
+motion that the gyro did not see; as a part of the model it is a time constant with an error. A
+filter also colours the noise that passes it. Errors that last longer than a filter (temperature,
+structure) are colour, too: in a model without `Coloured` the filter's time constant explains them.
+So both are offered together, and every level is free.
 """
 
 from __future__ import annotations
@@ -9,19 +12,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
+import numpy as np
+
+from greybox.estimation.fit import noise_of
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
-from greybox.model.noise import LowPass
+from greybox.model.noise import Coloured, LowPass
 from greybox.statistics.whiteness import is_coloured
 
 Value = TypeVar("Value")
 
 FILTERED = ("gyro", "accelerometer")
 """Sensors that come with a filter before the log: those of the IMU."""
-QUIET = 1e-3
-"""Noise in front of a filter, as a share of what its sensor has."""
 LONGEST = 0.02
 """Time constant [s] from which it is no filter of an IMU (8 Hz) but something else that the model
 has not."""
@@ -29,41 +32,54 @@ FELT = 3.0
 """Standard errors from which a time constant counts as felt."""
 
 
-def offered_filters(fitted: Fit) -> tuple[LowPass, ...]:
-    """A filter for each sensor of the IMU whose innovations are not white, where one of them is
-    not: a filter of the one changes what the other must explain."""
+Part = LowPass | Coloured
+
+
+def offered_parts(fitted: Fit) -> tuple[Part, ...]:
+    """A filter and colour for each sensor of the IMU, where the innovations of one of them are not
+    white: a filter of the one changes what the other must explain."""
     physics = physics_of(fitted.model.dynamics)
     if physics is None:
         return ()
-    parts = tuple(LowPass(sensor=s) for s in FILTERED if s in physics.sensor_names)
-    rows = [row for p in parts for row in p.place(physics).rows]
+    sensors = [s for s in FILTERED if s in physics.sensor_names]
+    parts = tuple(kind(sensor=s) for kind in (LowPass, Coloured) for s in sensors)
+    rows = [row for p in parts[: len(sensors)] for row in p.place(physics).rows]
     records = [e[:, rows] for own in fitted.innovations.values() for e in own]
     return parts if rows and is_coloured(records) else ()
 
 
-def is_felt(part: LowPass, fitted: Fit) -> bool:
+def is_felt(part: Part, fitted: Fit) -> bool:
     """Whether its time constant is clear of its lower bound, and that of a filter of an IMU."""
     found = fitted.parameters[f"{part.name}.T"]
     lower = next(d.lower for d in fitted.model.dynamics.parameters if d.name == f"{part.name}.T")
-    return not found.at_bound and lower + FELT * found.std < found.value < LONGEST
+    clear = not found.at_bound and lower + FELT * found.std < found.value
+    return clear and (not part.filters or found.value < LONGEST)
 
 
-def described(part: LowPass, fitted: Fit) -> str:
+def described(part: Part, fitted: Fit) -> str:
     """What is said of it."""
-    found = fitted.parameters[f"{part.name}.T"]
+    time = fitted.parameters[f"{part.name}.T"].value
+    if not part.filters:
+        return f"{part.name} (T = {1e3 * time:.0f} ms)"
     cutoff = part.described(0.0, fitted.model.values, 1.0)["cutoff"]
-    return f"{part.name} ({cutoff:.0f} Hz, T = {1e3 * found.value:.1f} ms)"
+    return f"{part.name} ({cutoff:.0f} Hz, T = {1e3 * time:.1f} ms)"
 
 
-def filtering(options: FitOptions, parts: Sequence[LowPass], physics: Dynamics) -> FitOptions:
-    """The options with these filters. Noise enters behind a filter: its level in front is held at
-    next to nothing, so that how late a reading is decides, not the colour of its noise."""
-    typical = {p.name: float(p.typical(physics, p.place(physics), 1.0).mean()) for p in parts}
-    quiet = {f"noise.process.{n}": float(f"{QUIET * v:.3g}") for n, v in typical.items()}
+def with_noise_parts(options: FitOptions, parts: Sequence[Part], before: Fit) -> FitOptions:
+    """The options with these parts. A sensor's noise passes its filter, that of its conversion
+    does not, and colour may enter behind: all levels are free, and start at what `before`, with
+    white noise, found for the sensor."""
+    found = noise_of(before.model)
+    dynamics, dt = before.model.dynamics, before.model.sample_time
+    start: dict[str, float] = {}
+    for p in parts:
+        place = p.place(dynamics)
+        white = np.array([found[f"noise.sensor.{s.name}"] for s in place.signals])
+        names = [f"noise.process.{s.name}" for s in p.signals(place)]
+        start.update(zip(names, p.driving(white, dt).tolist(), strict=True))
     return options.but(
-        noise_parts=(*options.noise_parts, *typical),
-        noise={**options.noise, **quiet},
-        held_noise=(*options.held_noise, *quiet),
+        noise_parts=(*options.noise_parts, *(p.name for p in parts)),
+        noise={**options.noise, **start},
     )
 
 
@@ -72,18 +88,14 @@ def without_parts(options: FitOptions, names: Sequence[str]) -> FitOptions:
     values, levels = dict(options.values), dict(options.noise)
     for name in names:
         values, levels = without_noise_of(name, values), without_noise_of(name, levels)
-    gone = {f"noise.process.{n}" for n in names}
     return options.but(
         noise_parts=tuple(n for n in options.noise_parts if n not in names),
         values=values,
         noise=levels,
-        held_noise=tuple(n for n in options.held_noise if n not in gone),
     )
 
 
 def without_noise_of(part: str, table: Mapping[str, Value]) -> dict[str, Value]:
     """A table of parameter values or noise levels without those of a noise part."""
     own = (f"{part}.", f"noise.process.{part}.")
-    return {
-        n: v for n, v in table.items() if n != f"noise.process.{part}" and not n.startswith(own)
-    }
+    return {n: v for n, v in table.items() if n != f"noise.process.{part}" and not n.startswith(own)}

@@ -349,6 +349,7 @@ class Fit(Shown):
         """The content of fit.json (schema "greybox.fit/1")."""
         d = self.model.dynamics
         physics = physics_of(d)
+        lag = self.model.effective_lag
         return {
             "schema": SCHEMA,
             "verdict": None if self.verdict is None else self.verdict.to_dict(),
@@ -373,6 +374,7 @@ class Fit(Shown):
             },
             "parameters": {k: v.to_dict() for k, v in self.parameters.items()},
             "derived": {k: {"value": v, "std": s} for k, (v, s) in self.derived.items()},
+            **({} if lag is None else {"effective_lag": {**lag.to_dict(), "line": lag.line}}),
             "noise": {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in self.noise.items()},
             "std_kind": "sandwich" if self.coloured and self.covariance.enough else "fisher",
             "correlations": {
@@ -420,6 +422,8 @@ class Fit(Shown):
             )
             scope = "  per flight" if e.scope == "flight" else ""
             lines.append(f"{n:{width}s}  {e.value:12.6g} {error} {e.unit}{scope}{extra}")
+        lag = self.model.effective_lag
+        lines += [] if lag is None else [lag.line]
         lines += [f"not identified: {c.text}" for c in self.unidentifiable]
         lines += [f"warning: {w}" for w in self.warnings]
         return "\n".join(lines)

@@ -24,6 +24,7 @@ from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNam
 from greybox.files import checksum, read_json, write_json
 from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.effect import Effect
+from greybox.model.effective_lag import EffectiveLag, effective_lag
 from greybox.model.effects_file import effects_of, own_effects
 from greybox.model.layer import innermost, physics_of
 from greybox.model.model import PhysicsModel
@@ -101,7 +102,8 @@ class IdentifiedModel(Shown):
             + f" {r['unit']}"
             for r in self._shown_rows()
         ]
-        return "\n".join([first, self.name, where, *rows])
+        lag = [] if self.effective_lag is None else [f"  {self.effective_lag.line}"]
+        return "\n".join([first, self.name, where, *lag, *rows])
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per parameter; `std` is None for what was held."""
@@ -151,6 +153,11 @@ class IdentifiedModel(Shown):
             )
         return physics
 
+    @cached_property
+    def effective_lag(self) -> EffectiveLag | None:
+        """Motor lag, delays and filter of the gyro as one number; None for fewer than two."""
+        return effective_lag(self.values, self.covariance_names, self.covariance)
+
     @property
     def channel_groups(self) -> tuple[str, ...]:
         """Channel group of every innovation component (its own name without sensors)."""
@@ -196,6 +203,11 @@ class IdentifiedModel(Shown):
                 "names": list(self.covariance_names),
                 "matrix": self.covariance.tolist(),
             },
+            **(
+                {}
+                if self.effective_lag is None
+                else {"effective_lag": self.effective_lag.to_dict()}
+            ),
             "per_flight": {k: dict(v) for k, v in self.per_flight.items()},
             "flight_spread": {k: list(v) for k, v in self.flight_spread.items()},
             "process_noise": dict(

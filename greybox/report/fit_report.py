@@ -130,6 +130,8 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
         "A parameter at its bound has no standard deviation: its interval is one-sided. Of per-flight parameters the "
         "mean over flights is shown.",
     )
+    if lag := fit.get("effective_lag"):
+        report.paragraph(f"As one number: {lag['line']}.")
     noise = fit.get("noise") or {}
     if noise:
         with report.details(f"Noise levels ({len(noise)})"):

@@ -227,13 +227,13 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
     rate = (
         "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per command, a clock that is late"
     )
-    if least <= 0:
-        errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
-        principal = np.linalg.eigvalsh(j)
-        excess = float(2 * principal[-1] - principal.sum())
-        known = excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
+    errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
+    excess = -2 * least * float(np.trace(j))
+    known = least <= 0 and excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
+    beyond = least < LIMITS["inertia, rounded"].value
+    if known or beyond:
         yield Insane(
-            severity="impossible" if known and least < LIMITS["inertia, rounded"].value else "doubtful",
+            severity="impossible" if known and beyond else "doubtful",
             kind="inertia",
             parameters=names,
             statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others"
@@ -280,6 +280,9 @@ ADVICE: Mapping[str, tuple[str, str]] = {
 }
 """Group of a parameter -> (what probably is wrong with the model, what to try) where the flights overrule its prior."""
 
+SCALES = ("mass", "inertia", "thrust", "torque")
+"""Groups whose members are known within a factor."""
+
 OTHERS = ("another effect is missing, and this one stands for it", "run `greybox discover` on the flights")
 
 
@@ -289,7 +292,7 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
         if e.prior is None or not e.prior[1] > 0 or not math.isfinite(e.prior[1]):
             continue
         mean, sigma = e.prior
-        away = abs(e.value - mean) / sigma
+        away = _away(name, e.value, mean, sigma)
         if away <= LIMITS["sigmas"].value and not (e.at_bound and away >= LIMITS["sigmas, rounded"].value):
             continue
         likely, attempt = ADVICE.get(name.partition(".")[0], OTHERS)
@@ -310,6 +313,19 @@ def _overruled(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterat
             likely=likely,
             attempt=attempt,
         )
+
+
+def _away(name: str, value: float, mean: float, sigma: float) -> float:
+    """Distance from what was stated in its standard deviations.
+
+    Of a scale (mass, inertia, thrust, torque) the larger of difference and ratio counts: within
+    20 % means neither 1.2 times too much nor 1.2 times too little, and a number that is three times
+    too large is less than 4 sigma above the truth for every sigma beyond 17 %.
+    """
+    linear = abs(value - mean) / sigma
+    if name.partition(".")[0] not in SCALES or min(value, mean) <= 0:
+        return linear
+    return max(linear, abs(math.log(value / mean)) * mean / sigma)
 
 
 def _said(name: str, mean: float, sigma: float, value: float, unit: str) -> tuple[str, str]:

@@ -34,7 +34,7 @@ def lag(found: Decided) -> tuple[float, float]:
 
 
 def said(found: Decided) -> str:
-    (one,) = [d.choice for d in found.decisions if d.about == "filter of the IMU"]
+    (one,) = [d.choice for d in found.decisions if d.about == "noise of the IMU"]
     return one
 
 
@@ -53,6 +53,6 @@ def test_a_filter_is_found_and_the_lag_is_right_with_it_and_wrong_without():
 def test_without_one_none_is_taken():
     found = decided(None)
     assert found.recipe.options.noise_parts == ()
-    assert said(found) == "none"
+    assert said(found) == "white"
     off, error = lag(found)
     assert off == pytest.approx(0.0, abs=3 * error)

@@ -108,6 +108,16 @@ def test_moments_that_no_body_has_are_impossible_and_those_of_a_rounded_table_do
     assert not judged(estimate("inertia.xx", 3e-3, prior=False)).possible
 
 
+@pytest.mark.parametrize("factor", [1 / 3, 3.0])
+def test_a_stated_inertia_that_is_off_by_three_is_said_in_either_direction(factor):
+    true = CRAFT.quantities["inertia.yy"].value
+    stated = (factor * true, 0.2 * factor * true)
+    (found,) = judged(replace(estimate("inertia.yy", true), prior=stated)).findings
+    assert (found.kind, found.parameters) == ("overruled", ("inertia.yy",))
+    near = (1.4 * true, 0.2 * 1.4 * true)
+    assert judged(replace(estimate("inertia.yy", true), prior=near)).findings == ()
+
+
 def test_moments_beyond_the_triangle_by_less_than_their_errors_are_doubtful():
     def moments(std):
         each = (("inertia.xx", 3e-5), ("inertia.yy", 3e-5), ("inertia.zz", 7e-5))
