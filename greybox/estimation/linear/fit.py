@@ -274,7 +274,7 @@ def _warnings(
             "the innovations are coloured and the records too short (or too long to hold) for robust standard errors: "
             "those given are too small"
         )
-    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
+    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT, Status.START_KEPT):
         out.append(s.status.value)
     if rank < free:
         out.append(

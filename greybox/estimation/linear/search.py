@@ -76,7 +76,12 @@ def decompose(records: Sequence[Record], largest: int, options: Options) -> list
 
 
 def find(records: Sequence[Record], order: int, options: Options, *, bank: Sequence[Subspace] | None = None) -> Found:
-    """The model of one order. Raises `DataError` or `FitError` where the data cannot carry it."""
+    """The model of one order. Raises `DataError` or `FitError` where the data cannot carry it.
+
+    An order that is too high costs little: the polish must be `pem.worth_leaving` the start. (Orders that are compared, in
+    `sweep`, are all polished: their criteria need the likelihood's maximum.)
+    """
+    options = replace(options, settings=replace(options.settings, weigh_start=True))
     bank = bank or decompose(records, order, options)
     starts = _subspace_starts(bank, order, options)
     if not starts:
