@@ -103,12 +103,18 @@ def _main(argv: Sequence[str] | None) -> int:
         print("greybox: interrupted", file=sys.stderr)
         return 130
     try:
-        for option in ("out", "json", "draft"):
-            if (path := getattr(arguments, option, None)) not in (None, "-"):
-                from greybox.files import check_writable
+        with contextlib.ExitStack() as stack:
+            for option in ("out", "json", "draft"):
+                if (path := getattr(arguments, option, None)) not in (None, "-"):
+                    from greybox.files import check_writable, sole_writer
 
-                check_writable(path, folder=option == "out" and not getattr(arguments, "one_file", False))
-        with kept_interrupts(), _hush(arguments) if arguments.quiet else contextlib.nullcontext():
+                    folder = option == "out" and not getattr(arguments, "one_file", False)
+                    check_writable(path, folder=folder)
+                    if folder:
+                        stack.enter_context(sole_writer(path))
+            stack.enter_context(kept_interrupts())
+            if arguments.quiet:
+                stack.enter_context(_hush(arguments))
             code = int(arguments.run(arguments))
             sys.stdout.flush()
             return code

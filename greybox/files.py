@@ -13,6 +13,7 @@ import math
 import os
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,16 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
     return target
 
 
+def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
+    """Remove results of an earlier run before the first of this run is written.
+
+    A run that is killed then leaves no page of other numbers beside its own.
+    """
+    for name in names:
+        with contextlib.suppress(OSError):
+            (Path(folder) / name).unlink()
+
+
 def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> None:
     """Whether a file can be written at `path` (in it, if it is to be a `folder`): said before hours of work, not after.
 
@@ -90,6 +101,47 @@ def check_writable(path: str | os.PathLike[str], *, folder: bool = False) -> Non
         raise OutputError(
             f"cannot write: {error.strerror or error}", where=str(path), fix="choose another --out"
         ) from None
+
+
+@contextlib.contextmanager
+def sole_writer(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Nobody else writes results into `folder` inside: files of two runs would stand side by side.
+
+    The folder is made, and removed again where nothing came into it. The lock ends with the process,
+    also by kill -9 (flock; where there is none, nothing is locked). Raises `OutputError`.
+    """
+    place = Path(folder)
+    made = [p for p in (place, *place.parents) if not p.exists()]
+    handle = _locked(place)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+        with contextlib.suppress(OSError):
+            for empty in made:
+                empty.rmdir()
+
+
+def _locked(place: Path) -> int | None:
+    """Handle of a folder that this process locked; None where folders cannot be locked."""
+    try:
+        import fcntl
+
+        place.mkdir(parents=True, exist_ok=True)
+        handle = os.open(place, os.O_RDONLY)
+    except (ImportError, OSError):
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        message, fix = "another greybox command writes into this folder", "wait for it, or choose another --out"
+        raise OutputError(message, where=str(place), fix=fix) from None
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
 
 
 def to_plain(value: Any) -> Any:

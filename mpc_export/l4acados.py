@@ -84,7 +84,7 @@ class LearnedResidual:
         nx, nu = self.sizes
         if points.ndim != 2 or points.shape[1] != nx + nu:
             raise ValueError(f"expected y of shape (N, {nx + nu}), got {np.shape(y)}")
-        n, nw = len(points), len(self.rows)
+        n = len(points)
         if n not in self._horizon:
             self._horizon[n] = self._point.map(n)
         values = self._horizon[n](points.T, np.tile(self.parameters[:, None], n))
@@ -92,7 +92,6 @@ class LearnedResidual:
         self.current_prediction = self.current_mean = mean.T
         self.current_variance = variance.T
         self.current_prediction_dy = np.stack([slope[:, k * (nx + nu) : (k + 1) * (nx + nu)] for k in range(n)], axis=1)
-        assert self.current_prediction_dy.shape == (nw, n, nx + nu)
 
     def evaluate(self, y: Array) -> Array:
         """r (N, n_w) at y (N, n_x + n_u)."""

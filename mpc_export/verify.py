@@ -322,7 +322,8 @@ def verify(folder: Path, compiler: str | None = None, *, with_c: bool = True) ->
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line. Returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m mpc_export.verify", description=str(__doc__).splitlines()[0])
+    asked = "Does a bundle still compute what it was exported from?"
+    parser = argparse.ArgumentParser(prog="python -m mpc_export.verify", description=asked)
     parser.add_argument("folder", metavar="DIR", type=Path, help="bundle that `greybox export` wrote")
     parser.add_argument("--cc", metavar="COMPILER", help="C compiler (default: $CC, cc, gcc or clang)")
     parser.add_argument("--no-c", action="store_true", help="check the rebuild only, without a C compiler")

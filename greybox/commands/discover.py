@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
@@ -106,6 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
     )
     content: dict[str, Any] = {}
+    began: list[bool] = []
 
     def write(found: Discovery) -> None:
         content.update(found.to_dict())
@@ -114,9 +115,14 @@ def run(arguments: argparse.Namespace) -> int:
         content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox discover"
         has = () if found.fit is None else found.model.effects
         content["effects_files"] = [path for path, effects in offered.items() if {e.name for e in effects} & set(has)]
-        write_json(out / "discovery.json", content)
+        withdraw(out, "report.html")
         if found.fit is None:
+            write_json(out / "discovery.json", content)
             return
+        # The result comes last: until then it says that the search was stopped.
+        if not began:
+            withdraw(out, "discovery.json", WITH_LAWS)
+            began.append(True)
         found.model.save(out / "model.json")
         laws = found.proposals()
         for old in out.glob("proposal_*.py"):
@@ -127,7 +133,8 @@ def run(arguments: argparse.Namespace) -> int:
         if found.lawful is not None:
             found.lawful.save(out / WITH_LAWS)
         else:
-            (out / WITH_LAWS).unlink(missing_ok=True)
+            withdraw(out, WITH_LAWS)
+        write_json(out / "discovery.json", content)
 
     def page() -> None:
         write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
@@ -181,7 +188,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
     from greybox.data.checks import check_logs
     from greybox.discovery.further import further
     from greybox.errors import DataError, GreyboxError
-    from greybox.files import dump_json, read_json, write_atomic, write_json
+    from greybox.files import dump_json, read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.report.discover_report import discover_report
@@ -203,7 +210,9 @@ def _go_on(arguments: argparse.Namespace) -> int:
     data = read_flight_logs(arguments, logs, model.physics.vehicle, rate=rate)
     content = further(content, model, data, own)
     out = Path(arguments.out or folder)
+    withdraw(out, "report.html")
     if out != folder:
+        withdraw(out, "discovery.json", "model.json")
         write_atomic(out / "model.json", (folder / "model.json").read_bytes())
     write_json(out / "discovery.json", content)
     title = f"What the model of {model.physics.vehicle.name} misses"

@@ -62,12 +62,13 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
+    from greybox.commands.fit_own import RESULTS
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
     from greybox.report.fit_report import fit_report
 
@@ -121,12 +122,12 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             result = _decided(arguments, vehicle, prepared, say, progress)
     except Interrupted as stop:
+        withdraw(out, *RESULTS)
         save(stop.kept)
-        for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
-            (out / name).unlink(missing_ok=True)
         say(f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}")
         raise
     # The fit is safe before anything else can go wrong.
+    withdraw(out, *RESULTS)
     content = save(result)
     physics = _sanity_lines(result)
     checked: dict[str, Any] | None = None
@@ -151,8 +152,6 @@ def run(arguments: argparse.Namespace) -> int:
             where = "pieces of the training flights" if pieces else "the flights that were fitted"
             checked.setdefault("warnings", []).insert(0, f"validated on {where}: give --test flights")
         write_json(out / "validate.json", checked)
-    else:
-        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
     # The flight that judges is drawn; a fitted one where there is none.
     drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from greybox.estimation.result import Fit
     from greybox.validation.result import Validation
 
+RESULTS = ("report.html", "validate.json", "fit.json", "model.json")
+"""Files of the command."""
 OF_VEHICLES: dict[str, object] = {
     "effects": None, "effects_file": [], "kinematic_noise": None, "keep_impossible": False, "all_flights": False,
 }  # fmt: skip
@@ -29,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.estimation.status import Interrupted
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.own_model import load_own_model
     from greybox.report.fit_report import fit_report
 
@@ -59,11 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         found = fit(model, train, fit_options(arguments), progress=progress)
     except Interrupted as stop:
+        withdraw(out, *RESULTS)
         save(stop.kept, [])
-        for name in ("report.html", "validate.json"):  # of an earlier fit, whose numbers are gone
-            (out / name).unlink(missing_ok=True)
         raise
     warnings = [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
+    withdraw(out, *RESULTS)
     save(found, warnings)  # the fit is safe before anything else can go wrong
     seen: Validation | None = None
     try:
@@ -72,7 +74,6 @@ def run(arguments: argparse.Namespace) -> int:
         write_json(out / "validate.json", seen.to_dict())
     except GreyboxError as error:
         warnings.insert(0, f"no validation: {error}")
-        (out / "validate.json").unlink(missing_ok=True)  # of an earlier fit
     content = save(found, warnings)
     page = fit_report(
         content, series(found.model, train, test), None if seen is None else seen.to_dict(), title=f"Fit of {model.name}"

@@ -52,9 +52,9 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
-    from greybox.commands.learn_output import is_linear, run_output
+    from greybox.commands.learn_output import RESULTS, is_linear, run_output
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
     from greybox.report.learn_report import learn_report
@@ -120,6 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         content["warnings"].append(f"the model was also fitted to {', '.join(unseen)}, which were not given")
     out = Path(arguments.out)
     # What was learned is safe before anything else can go wrong.
+    withdraw(out, *RESULTS)
     save_model(learned.model, out / "hybrid.json")
     write_json(out / "learn.json", content)
     judged = test if test.flights else train

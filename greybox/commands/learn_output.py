@@ -10,6 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+RESULTS = ("report.html", "learn.json", "hybrid.json")
+"""Files of the command."""
+
 
 def is_linear(path: str) -> bool:
     """Whether a file is one that `greybox linear` wrote."""
@@ -26,7 +29,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.data import Dataset
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.identified import library_versions
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
@@ -65,6 +68,7 @@ def run_output(arguments: argparse.Namespace) -> int:
         seed=arguments.seed, guard=arguments.guard, progress=progress,
     )  # fmt: skip
     out = Path(arguments.out)
+    withdraw(out, *RESULTS)
     hybrid.save(out / "hybrid.json")
     spread = np.nanstd(np.concatenate([s.matrix(hybrid.outputs) for s in train.segments]), axis=0)
     warnings = list(hybrid.report["training"].get("warnings", []))

@@ -51,7 +51,7 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
     """
     removed: list[Removed] = []
     new: dict[str, FloatArray] = {}
-    top = vehicle.actuator.speed_max if isinstance(vehicle.actuator, TopSpeed) else None
+    top = top_speed(vehicle)
 
     def drop(names: tuple[str, ...], bad: BoolArray, values: FloatArray, reason: str) -> None:
         if not bad.any() or bad.sum() > max(1.0, SPIKES * bad.size):
@@ -98,6 +98,11 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
     notes = (*raw.notes, *(r.line() for r in removed))
     every = (*raw.removed, *removed)
     return replace(raw, channels={**raw.channels, **new}, notes=notes, removed=every)
+
+
+def top_speed(vehicle: Airframe) -> float | None:
+    """Speed [rad/s] of a rotor at full command; None where the vehicle does not state it."""
+    return vehicle.actuator.speed_max if isinstance(vehicle.actuator, TopSpeed) else None
 
 
 def _measured(t: FloatArray, block: FloatArray) -> IntArray:

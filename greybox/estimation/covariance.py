@@ -15,6 +15,8 @@ from greybox.symbolic import BoolArray, FloatArray
 
 NULL_SHARE = 1e-10
 """Eigenvalues of the scaled information below this share of the largest count as no information."""
+FEWEST_BLOCKS = 8
+"""Scores of fewer blocks scatter too little, or too much, to tell errors by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +30,7 @@ class Covariance:
     @property
     def enough(self) -> bool:
         """Whether there are blocks enough for the sandwich."""
-        return self.blocks >= 8
+        return self.blocks >= FEWEST_BLOCKS
 
     def chosen(self, coloured: bool) -> FloatArray:
         """The sandwich where the innovations are coloured (and there are blocks enough), never below Fisher; else Fisher."""

@@ -20,7 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
-from greybox.estimation.few_samples import demand_samples
+from greybox.estimation.few_samples import demand_samples, too_short_for_errors
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
 from greybox.estimation.problem import Problem, make_problem
@@ -291,10 +291,8 @@ def _finish(
         warnings.append(
             f"{total_held} missing command or voltage cells were held from the sample before"
         )
-    if coloured and not spread.enough:
-        warnings.append(
-            "the innovations are coloured and the flights too short to correct the errors for it"
-        )
+    if value.gradient is not None and not spread.enough:
+        warnings.append(too_short_for_errors(spread.blocks, block * problem.dt, coloured))
     if not problem.engine.compiled:
         warnings.append(f"CasADi's VM ran the equations, slower than compiled: {trouble()}")
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]

@@ -24,6 +24,7 @@ from scenarios.plants.flight_log import fly, member, write_log
 from scenarios.plants.presets import controller_for, x250
 from scenarios.plants.vehicle_file import write_vehicle
 from tests.friction import FRICTION
+from tests.one_run import results_of_one_run
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +152,8 @@ def test_an_interruption_keeps_what_was_found(
     monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
     monkeypatch.setattr(greybox.discovery.workflow, "certificates", stop)
     arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(tmp_path))
-    assert main(arguments) == 130
+    with results_of_one_run(tmp_path, "discovery.json", "model.json", "report.html"):
+        assert main(arguments) == 130
     content = valid(tmp_path / "discovery.json")
     assert content["verdict"] == "stopped"
     assert content["effects"] == []  # nothing is judged yet

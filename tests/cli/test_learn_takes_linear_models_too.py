@@ -13,6 +13,7 @@ from greybox.cli import main
 from greybox.data.logs import read_log
 from greybox.errors import FileFormatError
 from greybox.residual.output_residual import OutputHybrid, read_linear
+from tests.one_run import results_of_one_run
 
 pytest.importorskip("gpytorch")
 SCHEMA = json.loads(files("greybox").joinpath("schemas/output_residual.json").read_text())
@@ -41,7 +42,8 @@ def folder(tmp_path_factory):
     common = ["--inputs", "volt=a-b,load", "--outputs", "speed,temp", "--order", "1", "--json", "-"]
     assert main(["linear", "--train", *train, *common, "--siso", "--out", str(out / "siso")]) == 0
     learn = ["learn", str(out / "siso" / "model.json"), "--train", *train, "--test", test, "--points", "30"]
-    assert main([*learn, "--horizons-samples", "1,5", "--out", str(out / "hybrid")]) == 0
+    with results_of_one_run(out / "hybrid", "report.html", "learn.json", "hybrid.json"):
+        assert main([*learn, "--horizons-samples", "1,5", "--out", str(out / "hybrid")]) == 0
     return out, train, test
 
 

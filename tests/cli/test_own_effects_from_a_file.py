@@ -19,6 +19,7 @@ from scenarios.plants.presets import controller_for
 from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
 from tests.friction import FRICTION
+from tests.one_run import results_of_one_run
 
 
 def valid(kind: str, content: dict) -> dict:
@@ -47,8 +48,10 @@ def test_from_listing_to_citation(
     listed = valid("effects", json.loads(capsys.readouterr().out))
     assert [e["name"] for e in listed["effects"]] == ["friction"]
 
-    code = main(["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv", "--out", str(tmp_path / "own"),
-                 "--effects", "motor_lag,command_delay,rotor_drag", "--effects-file", "friction.py"])  # fmt: skip
+    fit = ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv", "--out", str(tmp_path / "own")]
+    fit += ["--effects", "motor_lag,command_delay,rotor_drag", "--effects-file", "friction.py"]
+    with results_of_one_run(tmp_path / "own", "report.html", "validate.json", "fit.json", "model.json"):
+        code = main(fit)
     assert code == 0
     fitted = json.loads((tmp_path / "own" / "fit.json").read_text())["parameters"]
     truth = plant().truth()["parameters"]

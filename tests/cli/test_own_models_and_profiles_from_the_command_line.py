@@ -10,6 +10,7 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
+from tests.one_run import results_of_one_run
 
 PROGRAM = """
 import greybox as gb
@@ -38,7 +39,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
             level += 0.1 * (0.3 * u - 0.5 * level)
         np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="t,pump,level", comments="")
     fit = ["fit", "--model-file", f"{folder}/tank.py:build", "--train", f"{folder}/a.csv", "--test", f"{folder}/b.csv"]
-    assert main(["--quiet", *fit, "--out", f"{folder}/fit"]) == 0
+    with results_of_one_run(folder / "fit", "report.html", "validate.json", "fit.json", "model.json"):
+        assert main(["--quiet", *fit, "--out", f"{folder}/fit"]) == 0
     return folder
 
 

@@ -8,7 +8,8 @@ import pytest
 from faults import conjugated, exchanged, late
 
 from greybox.data import read_table
-from greybox.data.checks import check
+from greybox.data.checks import check, ranges
+from greybox.data.checks.view import View
 from greybox.model.vehicle import read_vehicle
 from scenarios.excitation import FigureEight, rich_excitation
 from scenarios.plants.effects import MotorLag
@@ -57,3 +58,16 @@ def test_shifts_are_recovered_within_half_a_sample(flown, rows):
     found = check([late(raw, rows, "p q r")], vehicle).of("alignment")
     offsets = [f.evidence["offset_samples"] for f in found if "offset_samples" in f.evidence]
     assert offsets[0] == pytest.approx(rows, abs=0.5)
+
+
+def test_rotor_speeds_in_rpm_block_where_the_top_speed_is_stated(flown):
+    raw, vehicle = flown
+    speeds = [n for n in raw.channels if n.startswith("omega")]
+    assert len(speeds) == 4
+    top = max(float(raw.channels[n].max()) for n in speeds)
+    known = replace(vehicle, actuator=replace(vehicle.actuator, speed_max=top))
+    rpm = replace(raw, channels={**raw.channels, **{n: 9.5493 * raw.channels[n] for n in speeds}})
+    assert list(ranges.run(View(raw=raw, vehicle=known))) == []
+    found = list(ranges.run(View(raw=rpm, vehicle=known)))
+    assert [f.severity for f in found] == ["blocking"] * 4
+    assert "rpm: scale 0.10472" in found[0].fix

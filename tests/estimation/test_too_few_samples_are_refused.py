@@ -1,4 +1,4 @@
-"""A fit of fewer samples than unknowns is refused; another place is no new domain where nothing feels it."""
+"""A fit of fewer samples than unknowns is refused, and the errors of few are doubted."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ def test_fewer_samples_than_unknowns_are_refused(rows: int) -> None:
     data = cut(rows)
     with pytest.raises(DataError, match="fewer than the"):
         fit(build_model(vehicle(), data.channels, EFFECTS), data)
+
+
+@pytest.mark.parametrize(("rows", "short"), [(100, True), (500, False)])
+def test_a_short_flight_says_that_its_errors_are_too_small(rows: int, short: bool) -> None:
+    data = cut(rows)
+    found = fit(build_model(vehicle(), data.channels, ("motor_lag",)), data)
+    assert any("standard errors are too small" in w and "--hold-noise" in w for w in found.warnings) is short
 
 
 def test_the_place_is_felt_only_where_something_depends_on_it() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.channel import channel, group_names
 from greybox.data.checks.finding import Check, Finding, Severity, per_flight
 from greybox.data.checks.view import View
-from greybox.data.impossible import OUTSIDE
+from greybox.data.impossible import OUTSIDE, OVERSPEED, SPIKES, top_speed
 
 BLOCKING_SHARE = 0.01
 REMOVED_SHARE = 0.05
@@ -22,6 +22,7 @@ UNIT_SLACK = 0.02
 
 FIXES = {
     "command": "scale the commands to the range of the vehicle file in [columns] (PWM 0..65535: 1.5259e-5)",
+    "rotor_speed": "check the unit: rad/s (rpm: scale 0.10472 in [columns]), and actuator.speed_max",
     "rate": "check the unit: rad/s (deg/s: scale 0.0174533 in [columns])",
     "specific_force": "check the unit: m/s^2",
     "attitude": "check which columns hold the quaternion",
@@ -38,6 +39,9 @@ def run(view: View) -> Iterator[Finding]:
         lower, upper = declared.lower, declared.upper
         if declared.group == "command":
             lower, upper = actuator.u_min - slack, actuator.u_max + slack
+        top = top_speed(view.vehicle) if declared.group == "rotor_speed" else None
+        if top is not None and (values > OVERSPEED * top).mean() > SPIKES:
+            upper = OVERSPEED * top  # fewer are spikes, which are removed
         outside = np.flatnonzero((values < lower) | (values > upper))
         if outside.size:
             share = outside.size / max(int(np.isfinite(values).sum()), 1)

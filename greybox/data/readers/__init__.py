@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from greybox.data.logs.table import Table
+from greybox.data.readers.ardupilot import FORMAT as ARDUPILOT
 from greybox.data.readers.assemble import assemble, choose, clock_of, describe, stream_of_table
 from greybox.data.readers.betaflight import FORMAT as BETAFLIGHT
 from greybox.data.readers.crazyflie import FORMAT as CRAZYFLIE
@@ -44,6 +45,7 @@ FORMATS: tuple[LogFormat, ...] = (
     ULOG,
     ROS,
     BETAFLIGHT,
+    ARDUPILOT,
     CRAZYFLIE,
     MATLAB,
     PARQUET,

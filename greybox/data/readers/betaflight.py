@@ -120,6 +120,8 @@ def _info(headers: Mapping[str, Any]) -> dict[str, str]:
         "looptime": "looptime",
     }
     shown |= {"debug_mode": "debug_mode", "P interval": "P interval", "blackbox_sample_rate": "blackbox_sample_rate"}
+    # The chirp that Betaflight (2025.12 on) can add to the rate setpoints: amplitudes, frequencies, time.
+    shown |= {key: key for key in headers if str(key).startswith("chirp_")}
     return {label: str(headers[key]) for key, label in shown.items() if headers.get(key) not in (None, "")}
 
 
@@ -157,6 +159,11 @@ def _found(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[So
 def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[str]:
     if "motor[0]" in fields and not _limits(headers):
         yield "the range of the motor outputs is not in the header; give [command] limits in a mapping file"
+    if "debug[0]" in fields and any(str(key).startswith("chirp_") for key in headers):
+        yield (
+            "where debug_mode is CHIRP, debug[0] is 5000 times the phase of the chirp [rad], 0 while there is none; "
+            "it goes into the rate setpoint, so that commands hold it closed-loop"
+        )
     if "vbatLatest" in fields and _major(headers) < 4:
         yield "vbatLatest has no fixed unit before Betaflight 4.0; give [battery] scale in a mapping file"
     if "eRPM[0]" in fields and not _number(headers.get("motor_poles")):

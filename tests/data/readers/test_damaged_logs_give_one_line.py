@@ -20,6 +20,7 @@ FORMATS = {
     "ulog": ("f.ulg", "pyulog"),
     "crazyflie": ("log00", "numpy"),
     "betaflight": ("f.bbl", "orangebox"),
+    "ardupilot": ("f.bin", "numpy"),
     "bag": ("f.bag", "rosbags"),
     "mcap": ("f.mcap", "rosbags"),
     "sqlite": ("f.db3", "rosbags"),
@@ -40,6 +41,8 @@ def intact(name: str) -> bytes:
                 w.write_ulog(path, c)
             case "crazyflie":
                 w.write_crazyflie(path, c)
+            case "ardupilot":
+                w.write_ardupilot(path, c)
             case "betaflight":
                 w.write_betaflight(path, c)
             case "parquet":

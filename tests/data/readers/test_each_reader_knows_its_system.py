@@ -32,6 +32,7 @@ def mapping(folder: Path, text: str) -> Path:
         ("a.bin", b"ULog\x01\x12\x35\x01" + bytes(8), "ulog"),
         ("a.txt", b"H Product:Blackbox flight data recorder\n", "betaflight"),
         ("LOG07", b"\xbc\x02\x00\x01\x00", "crazyflie"),
+        ("LOG1", b"\xa3\x95\x80\x80\x59FMT\0", "ardupilot"),
         ("a.csv", b"PAR1....", "parquet"),
         ("a", b"MATLAB 5.0 MAT-file, Platform", "matlab"),
         ("a", b"\x89MCAP0\r\n", "ros"),
@@ -98,6 +99,44 @@ def test_json_in_mcap_is_read(tmp_path: Path) -> None:
     assert raw.channels["u2"][0] == 0.6
 
 
+# ArduPilot ----------------------------------------------------------------------------------------------------------
+
+
+def test_servo_functions_put_the_motors_in_order(tmp_path: Path) -> None:
+    c = w.channels(rows=N)
+    found = read_recording(w.write_ardupilot(tmp_path / "f.bin", c))
+    (command,) = (s for s in found.sources if s.group == "command")
+    assert command.fields == ("C2", "C1", "C4", "C3")  # functions 33 to 36
+    assert "IMU[1]" in found.streams
+    assert {s.stream for s in found.sources if s.group == "rate"} == {"IMU[0]"}
+
+
+def test_a_damaged_onboard_log_is_read_around_the_damage(tmp_path: Path) -> None:
+    path = w.write_ardupilot(tmp_path / "f.bin", w.channels(rows=N))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-5])
+    assert read_recording(path).notes == ()
+    place = whole.index(b"\xa3\x95\x82", len(whole) // 2)
+    path.write_bytes(whole[:place] + bytes(700) + whole[place + 20 :])
+    found = read_recording(path)
+    assert "bytes between messages are not read" in found.notes[0]
+    assert found.streams["IMU[0]"].n >= N - 2
+
+
+def test_the_library_of_others_reads_the_same_numbers(tmp_path: Path) -> None:
+    reader = pytest.importorskip("pymavlink.DFReader")
+    path = w.write_ardupilot(tmp_path / "f.bin", w.channels(rows=50))
+    theirs = reader.DFReader_binary(str(path))
+    rows = []
+    while (message := theirs.recv_match(type=["IMU"])) is not None:
+        rows.append((message.I, message.TimeUS * 1e-6, message.GyrX, message.AccZ))
+    ours = read_recording(path).streams
+    for which in (0, 1):
+        stream = ours[f"IMU[{which}]"]
+        table = np.column_stack([stream.t, stream.fields["GyrX"], stream.fields["AccZ"]])
+        np.testing.assert_array_equal(table, [row[1:] for row in rows if row[0] == which])
+
+
 # Betaflight ---------------------------------------------------------------------------------------------------------
 
 
@@ -133,6 +172,16 @@ def test_rotor_speed_and_an_old_battery_field_need_their_headers(tmp_path: Path)
     assert "vbat" not in raw.channels and "omega1" not in raw.channels
     assert any("no fixed unit before Betaflight 4.0" in n for n in raw.notes)
     assert any("motor_poles is not in the header" in n for n in raw.notes)
+
+
+def test_a_chirp_of_the_firmware_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    fields = {"time": np.arange(N) * 2000.0, "gyroADC[0]": np.zeros(N), "debug[0]": np.zeros(N)}
+    settings = {"Firmware revision": "Betaflight 2025.12.1 (abc) S", "chirp_amplitude_roll": "230"}
+    (tmp_path / "f.bbl").write_bytes(w.blackbox_bytes(fields, settings))
+    found = read_recording(tmp_path / "f.bbl")
+    assert found.info["chirp_amplitude_roll"] == "230"
+    assert any("phase of the chirp" in note for note in found.notes)
 
 
 def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> None:

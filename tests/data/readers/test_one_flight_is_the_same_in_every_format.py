@@ -19,6 +19,7 @@ CASES: dict[str, tuple[str, Callable[[Path, dict[str, np.ndarray]], Path], str]]
     "crazyflie": ("log00", w.write_crazyflie, ""),
     "crazyflie, old": ("log00", lambda p, c: w.write_crazyflie(p, c, version=1), ""),
     "betaflight": ("f.bbl", w.write_betaflight, ""),
+    "ardupilot": ("f.bin", w.write_ardupilot, ""),
     "ros 1": ("f.bag", lambda p, c: w.write_ros(p, c, kind="bag"), w.ROS_MAPPING),
     "ros 2": ("bag", lambda p, c: w.write_ros(p, c, kind="sqlite"), w.ROS_MAPPING),
     "mcap": ("bag", lambda p, c: w.write_ros(p, c, kind="mcap"), w.ROS_MAPPING),
@@ -32,7 +33,8 @@ CASES: dict[str, tuple[str, Callable[[Path, dict[str, np.ndarray]], Path], str]]
 EXACT = {
     # Resolution of the format's own numbers: float32, deg/s as integers, 2048 counts per g, 2000 steps of a motor.
     "p": {"betaflight": 0.6 * np.pi / 180}, "ax": {"betaflight": 0.6 * 9.81 / 2048},
-    "u1": {"betaflight": 0.6 / 1999, "crazyflie": 1e-5, "crazyflie, old": 1e-5}, "vbat": {"betaflight": 0.006},
+    "u1": {"ardupilot": 6e-4, "betaflight": 0.6 / 1999, "crazyflie": 1e-5, "crazyflie, old": 1e-5},
+    "vbat": {"betaflight": 0.006},
 }  # fmt: skip
 LIKE = {"q": "p", "r": "p", "ay": "ax", "az": "ax", "u2": "u1", "u3": "u1", "u4": "u1"}
 FLOAT32 = 3e-6

@@ -260,6 +260,55 @@ def write_crazyflie(path: Path, c: Columns, *, version: int = 2) -> Path:
     return path
 
 
+# ArduPilot DataFlash ------------------------------------------------------------------------------------------------
+
+DATAFLASH = {"Q": "Q", "B": "B", "H": "H", "f": "f", "N": "16s", "n": "4s", "Z": "64s"}
+
+
+def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, ...]]]]) -> bytes:
+    """(name, letters, fields, rows) of messages as an onboard log: what they are first, then in turn by their time."""
+
+    def declared(number: int, length: int, name: str, letters: str, fields: str) -> bytes:
+        texts = [text.encode().ljust(size, b"\0") for text, size in ((name, 4), (letters, 16), (fields, 64))]
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, length, *texts)
+
+    out = declared(0x80, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    rows: list[tuple[float, bytes]] = []
+    for number, (name, letters, fields, values) in enumerate(messages, start=0x81):
+        layout = struct.Struct("<" + "".join(DATAFLASH[c] for c in letters))
+        out += declared(number, layout.size + 3, name, letters, fields)
+        rows += [(row[0], b"\xa3\x95" + bytes([number]) + layout.pack(*row)) for row in values]
+    return out + b"".join(body for _, body in sorted(rows, key=lambda pair: pair[0]))
+
+
+def write_ardupilot(path: Path, c: Columns) -> Path:
+    """The flight as ArduPilot would have logged it, with a second IMU that says something else."""
+    stamps = [int(t) for t in np.rint((c["t"] + 12.5) * 1e6)]
+    imu = np.column_stack([*to_frd(c, "pqr"), *to_frd(c, ("ax", "ay", "az"))])
+    pose = np.column_stack([*to_ned(c, "xyz"), *to_ned(c, ("vx", "vy", "vz"))])
+    turned = px4_attitude(c)
+    pwm = [np.rint(1000 + 1000 * c[f"u{i}"]).astype(int) for i in (2, 1, 4, 3)]
+    parameters = [(f"SERVO{k}_FUNCTION", 33.0 + m) for k, m in ((1, 1), (2, 0), (3, 3), (4, 2), (5, -33))]
+    parameters += [("MOT_PWM_MIN", 1000.0), ("MOT_PWM_MAX", 2000.0)]
+
+    def rows(table: np.ndarray, *before: int) -> list[tuple[Any, ...]]:
+        return [(t, *before, *map(float, row)) for t, row in zip(stamps, table, strict=True)]
+
+    path.write_bytes(
+        dataflash_bytes(
+            [
+                ("PARM", "QNf", "TimeUS,Name,Value", [(0, n.encode(), v) for n, v in parameters]),
+                ("IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", rows(imu, 0) + rows(-imu, 1)),
+                ("XKQ", "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4", rows(turned, 0)),
+                ("XKF1", "QBffffff", "TimeUS,C,PN,PE,PD,VN,VE,VD", rows(pose, 0)),
+                ("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4", [(t, *map(int, u)) for t, *u in zip(stamps, *pwm, strict=True)]),
+                ("BAT", "QBf", "TimeUS,Inst,Volt", rows(c["vbat"][:, None], 0)),
+            ]
+        )
+    )
+    return path
+
+
 # Betaflight blackbox ------------------------------------------------------------------------------------------------
 
 
