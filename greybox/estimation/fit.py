@@ -20,6 +20,7 @@ from greybox.data import Dataset
 from greybox.errors import FitError, ModelError, UnknownNameError
 from greybox.estimation.build import trouble
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
+from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import demand_samples, too_short_for_errors
 from greybox.estimation.identifiability import marginal_information, unidentified
 from greybox.estimation.options import FitChoices, FitOptions, member, says_choices
@@ -237,6 +238,8 @@ def _finish(
     )
     value = problem.evaluate(theta, scores=block)
     warnings: list[str] = []
+    # A wall says where no body is. It is no measurement: errors are those without it.
+    told = None if value.hessian is None else value.hessian - wall(problem.bodies, theta).hessian
     precision = np.array(
         [0.0 if not np.isfinite(u.sigma) else u.sigma**-2 for u in problem.unknowns]
     )
@@ -251,7 +254,8 @@ def _finish(
         g = value.gradient
         low, high = theta <= problem.lower, theta >= problem.upper
         held = (low & (g > 0)) | (high & (g < 0))
-        spread = covariance(value.hessian, value.scores, precision, held)
+        assert told is not None
+        spread = covariance(told, value.scores, precision, held)
         data_hessian = value.data_hessian
         if added is not None:
             free_rows = np.where(held, 0.0, 1.0)
@@ -271,7 +275,7 @@ def _finish(
         whitened.append(e)
     coloured = one_step is not problem.predictor or is_coloured(whitened)
     matrix = spread.chosen(coloured)
-    alone = _without_priors(problem, value.hessian, precision, held)
+    alone = _without_priors(problem, told, precision, held)
     estimates = _estimates(problem, theta, matrix, spread.fisher, held, alone)
     if not status.converged:
         warnings.insert(0, status.advice)

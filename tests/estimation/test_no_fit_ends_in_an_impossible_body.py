@@ -15,6 +15,7 @@ import pytest
 
 from greybox.estimation.criteria import CRITERIA
 from greybox.estimation.feasible import NEAR, Body, is_possible, margins, moved_inside, wall
+from greybox.estimation.fit import _finish
 from greybox.estimation.multistart import random_start
 from greybox.estimation.predictors import PREDICTORS
 from greybox.estimation.problem import Value, make_problem
@@ -224,3 +225,15 @@ def test_files_of_schema_one_keep_their_bounds_and_have_the_wall_behind_the_slac
     new = {d.name: d for d in problem_of(stranger).dynamics.parameters}
     assert new["inertia.zz"].upper == pytest.approx(20 * stranger.inertia[2][2])
     assert new["mass"].lower == pytest.approx(stranger.mass.value / 20)
+
+
+def test_an_error_bar_at_the_wall_is_that_of_the_flights_and_not_of_the_wall(stranger):
+    problem = problem_of(stranger, ("motor_lag",))
+    theta, status = LevenbergMarquardt().solve(problem, problem.start)
+    found = _finish(problem, short_flight(), theta, status, 0.0, {})
+    limit = wall(problem.bodies, theta).hessian
+    place = problem.place("inertia.zz")
+    assert limit[place, place] > 0, "the fit ends where the wall is felt"
+    hessian = problem.evaluate(theta).hessian
+    with_wall, without = (np.linalg.inv(h)[place, place] ** 0.5 for h in (hessian, hessian - limit))
+    assert found.parameters["inertia.zz"].std > 0.97 * without > with_wall
