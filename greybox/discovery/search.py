@@ -87,17 +87,19 @@ class Search:
         if coloured is not None:  # under white noise everything bends into the first candidates
             return coloured
         scores = self.scores = scored(self.flights, at)
-        best = None
-        if len(self.named(at.structure)) < self.most:
-            best = self._tried(at, scores)
-        if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
-            # What is not felt alone can only explain what is there and has no name.
-            moves = self._moves(at, unfelt(scores, self.flights))
-            best = self._best(at, self.flights.contest(moves, at), scores)
-        return best
+        fits = self._tried(at, scores) if len(self.named(at.structure)) < self.most else []
+        gains = any(self.score(f) > self.score(at) for f in fits)
+        bare = not set(self.named(at.structure)) - self.flights.causes.base
+        held = any(needed for _, needed in axis_gains(at, self.price).values())
+        if held and (bare or not gains):
+            # What is not felt alone can only explain what is there and has no name. What acts with
+            # another only (a wind with a drag) is offered before others bend into its place.
+            silent = [p for p in unfelt(scores, self.flights) if not gains or len(p.causes) > 1]
+            fits += self.flights.contest(self._moves(at, silent), at)
+        return self._best(at, fits, scores)
 
-    def _tried(self, at: Fitted, scores: Scores) -> Fitted | None:
-        """The best of what promises most: all that still gain next to each other, then single causes
+    def _tried(self, at: Fitted, scores: Scores) -> list[Fitted]:
+        """Fits of what promises most: all that still gain next to each other, then single causes
         and pairs, until what one gained is more than the next promises."""
         together = self._together(scores)
         promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
@@ -109,7 +111,7 @@ class Search:
             if gained > 0 and gained >= self._net(p):
                 break
             fits += self.flights.contest(self._moves(at, [p]), at)
-        return self._best(at, fits, scores)
+        return fits
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
