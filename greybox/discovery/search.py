@@ -20,6 +20,8 @@ from greybox.discovery.propose import Proposal, Scores, proposals, scored, typic
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
+FELT = 3.0
+"""Standard errors from which the time constant of a filter or of colour counts as there."""
 ROUNDS = 24
 """Moves after which a search ends in any case: more than any craft misses."""
 
@@ -257,8 +259,6 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
-    if cause.kind == "sensor noise":
-        return -np.inf
     h = at.value.hessian + 1e-12 * np.diag(np.diag(at.value.hessian))
     free = ~at.held
     scale = 1 / np.sqrt(np.diag(h))
@@ -271,6 +271,9 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     live = [i for i in rows if free[i]]
     if not live:
         return np.inf
+    if cause.kind == "sensor noise":  # its time constant is there, or at its bound within its error
+        clear = at.theta[live] - at.problem.lower[live] > FELT * np.sqrt(np.diag(inverse)[live])
+        return -np.inf if clear.all() else 0.0
     null = np.array([cause.prior[at.problem.unknowns[i].name][0] for i in live])
     sigma = np.array([cause.prior[at.problem.unknowns[i].name][1] for i in live])
     cov = inverse[np.ix_(live, live)]
