@@ -104,6 +104,8 @@ def _main(argv: Sequence[str] | None) -> int:
         return 130
     try:
         with contextlib.ExitStack() as stack:
+            if getattr(arguments, "out", "") is None and hasattr(arguments, "default_out"):
+                arguments.out = arguments.default_out(arguments)
             for option in ("out", "json", "draft"):
                 if (path := getattr(arguments, option, None)) not in (None, "-"):
                     from greybox.files import check_writable, sole_writer

@@ -6,6 +6,7 @@ import argparse
 import itertools
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,15 @@ def set_aside(path: Path) -> Path:
     """The file, of an earlier search and perhaps edited since, under the first free name F.old, F.old2, ..."""
     names = (path.with_name(f"{path.name}.old{n if n > 1 else ''}") for n in itertools.count(1))
     return path.replace(next(name for name in names if not name.exists()))
+
+
+def _set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
+    """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name -> text)."""
+    from greybox.discovery.proposal import LAW_FILE
+
+    for old in out.glob("proposal_*.py"):
+        if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
+            set_aside(old)
 
 
 def add(subparsers: Any) -> None:
@@ -59,7 +69,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--out", default=None, metavar="DIR",
                    help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
     p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
-    p.set_defaults(run=run)
+    p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -125,9 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
             began.append(True)
         found.model.save(out / "model.json")
         laws = found.proposals()
-        for old in out.glob("proposal_*.py"):
-            if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
-                set_aside(old)
+        _set_aside_laws(out, laws)
         for name, text in laws.items():
             write_atomic(out / name, text)
         if found.lawful is not None:
@@ -187,6 +195,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
     """Multiply the evidence of the names of an earlier search by that of further flights."""
     from greybox.data.checks import check_logs
     from greybox.discovery.further import further
+    from greybox.discovery.result import WITH_LAWS
     from greybox.errors import DataError, GreyboxError
     from greybox.files import dump_json, read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
@@ -212,7 +221,8 @@ def _go_on(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or folder)
     withdraw(out, "report.html")
     if out != folder:
-        withdraw(out, "discovery.json", "model.json")
+        withdraw(out, "discovery.json", "model.json", WITH_LAWS)
+        _set_aside_laws(out, {})
         write_atomic(out / "model.json", (folder / "model.json").read_bytes())
     write_json(out / "discovery.json", content)
     title = f"What the model of {model.physics.vehicle.name} misses"

@@ -42,7 +42,7 @@ def innovations_of(at: Fitted) -> dict[str, ChannelWhiteness]:
 
 def sensor_proposals(at: Fitted, causes: Causes) -> list[Cause]:
     """Colour of every sensor whose innovations are clearly not white, and a low-pass of those that
-    firmware filters: what neither needs costs next to nothing in evidence. None where all are."""
+    firmware filters; what is not felt goes again. None where all are white."""
     physics = physics_of(at.problem.dynamics)
     assert physics is not None
     tested = innovations_of(at)

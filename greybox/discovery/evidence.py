@@ -239,7 +239,7 @@ class Flights:
                 value=value,
                 status=status,
                 log_evidence=evidence,
-                exact=exact,
+                exact=exact and status.code is not Code.BEHIND,
             )
             out.append(self._known[task.structure])
         return out

@@ -20,6 +20,8 @@ from greybox.discovery.propose import Proposal, Scores, proposals, scored, typic
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
+FELT = 3.0
+"""Standard errors from which the time constant of a filter or of colour counts as there."""
 ROUNDS = 24
 """Moves after which a search ends in any case: more than any craft misses."""
 
@@ -87,17 +89,19 @@ class Search:
         if coloured is not None:  # under white noise everything bends into the first candidates
             return coloured
         scores = self.scores = scored(self.flights, at)
-        best = None
-        if len(self.named(at.structure)) < self.most:
-            best = self._tried(at, scores)
-        if best is None and any(needed for _, needed in axis_gains(at, self.price).values()):
-            # What is not felt alone can only explain what is there and has no name.
-            moves = self._moves(at, unfelt(scores, self.flights))
-            best = self._best(at, self.flights.contest(moves, at), scores)
-        return best
+        fits = self._tried(at, scores) if len(self.named(at.structure)) < self.most else []
+        gains = any(self.score(f) > self.score(at) for f in fits)
+        bare = not set(self.named(at.structure)) - self.flights.causes.base
+        held = any(needed for _, needed in axis_gains(at, self.price).values())
+        if held and (bare or not gains):
+            # What is not felt alone can only explain what is there and has no name. What acts with
+            # another only (a wind with a drag) is offered before others bend into its place.
+            silent = [p for p in unfelt(scores, self.flights) if not gains or len(p.causes) > 1]
+            fits += self.flights.contest(self._moves(at, silent), at)
+        return self._best(at, fits, scores)
 
-    def _tried(self, at: Fitted, scores: Scores) -> Fitted | None:
-        """The best of what promises most: all that still gain next to each other, then single causes
+    def _tried(self, at: Fitted, scores: Scores) -> list[Fitted]:
+        """Fits of what promises most: all that still gain next to each other, then single causes
         and pairs, until what one gained is more than the next promises."""
         together = self._together(scores)
         promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
@@ -109,7 +113,7 @@ class Search:
             if gained > 0 and gained >= self._net(p):
                 break
             fits += self.flights.contest(self._moves(at, [p]), at)
-        return self._best(at, fits, scores)
+        return fits
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
@@ -255,8 +259,6 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     rows = [i for i, u in enumerate(at.problem.unknowns) if u.name in cause.parameters]
     if not rows or at.value.hessian is None:
         return 0.0 if rows else np.inf
-    if cause.kind == "sensor noise":
-        return -np.inf
     h = at.value.hessian + 1e-12 * np.diag(np.diag(at.value.hessian))
     free = ~at.held
     scale = 1 / np.sqrt(np.diag(h))
@@ -269,6 +271,9 @@ def drop_gain(at: Fitted, flights: Flights, name: str) -> float:
     live = [i for i in rows if free[i]]
     if not live:
         return np.inf
+    if cause.kind == "sensor noise":  # its time constant is there, or at its bound within its error
+        clear = at.theta[live] - at.problem.lower[live] > FELT * np.sqrt(np.diag(inverse)[live])
+        return -np.inf if clear.all() else 0.0
     null = np.array([cause.prior[at.problem.unknowns[i].name][0] for i in live])
     sigma = np.array([cause.prior[at.problem.unknowns[i].name][1] for i in live])
     cov = inverse[np.ix_(live, live)]

@@ -19,7 +19,7 @@ import numpy as np
 
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import physics_of
-from greybox.model.vehicle import EXACT_SCHEMA, TRIANGLE_SLACK
+from greybox.model.vehicle import EXACT_SCHEMA
 from greybox.symbolic import FloatArray
 
 NEAR = 0.01
@@ -86,13 +86,11 @@ class Unknowns(Protocol):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
     """Inertia matrix of one flight's body as a function of the unknowns: `held` (3, 3) plus the
-    unknowns at `columns`, each at the place in the matrix that `elements` says. `slack` is how far
-    beyond the triangle the wall stands, in units of the margins."""
+    unknowns at `columns`, each at the place in the matrix that `elements` says."""
 
     held: FloatArray
     columns: tuple[int, ...]
     elements: tuple[tuple[int, int], ...]
-    slack: float = 0.0
 
     def inertia(self, theta: FloatArray) -> FloatArray:
         """J (3, 3) [kg m^2]."""
@@ -102,11 +100,6 @@ class Body:
             if i != j:
                 out[j, i] += theta[at]
         return out
-
-    def room(self, inertia: FloatArray) -> float:
-        """Smallest margin to the wall of an inertia matrix (3, 3); positive on the near side."""
-        least = float(margins(inertia)[-1]) + self.slack
-        return least if self.slack == 0 or np.linalg.eigvalsh(inertia)[0] > 0 else -np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,12 +137,12 @@ def wall(bodies: Sequence[Body], theta: FloatArray) -> Wall:
     cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
     for body in bodies:
         j = body.inertia(theta)
-        if not body.room(j) > 0:
+        if not is_possible(j):
             return Wall(cost=np.inf, gradient=gradient, hessian=hessian)
         moments, axes = np.linalg.eigh(j)
         trace = float(moments.sum())
         for moment, axis in zip(moments, axes.T, strict=True):
-            t = (0.5 - moment / trace + body.slack) / NEAR
+            t = (0.5 - moment / trace) / NEAR
             if t >= 1.0:
                 continue
             slope = np.zeros(n)
@@ -174,12 +167,12 @@ def moved_inside(
     out = np.clip(theta, lower, upper)
     for body in bodies:
         j = body.inertia(out)
-        if body.room(j) > 0:
+        if is_possible(j):
             continue
         before = out.copy()
         for _ in range(MOST_MOVES):
             j = body.inertia(out)
-            if body.room(j) > 0.5 * NEAR:
+            if margins(j)[-1] > 0.5 * NEAR:
                 break
             for at, (a, b) in zip(body.columns, body.elements, strict=True):
                 goal = np.trace(j) / 3 if a == b else 0.0
@@ -193,16 +186,13 @@ def bodies_of(problem: Unknowns) -> tuple[Body, ...]:
     """The bodies whose inertia is estimated, one per set of unknowns (flights may have copies of
     their own).
 
-    Files of schema /1 may state moments of rounded tables, beyond the triangle by `TRIANGLE_SLACK`:
-    there the wall stands at the end of that slack. Left out are bodies that no value of the
-    unknowns makes possible: there the vehicle file holds what no body has, and a wall would leave
-    nothing to estimate.
+    None for vehicle files of schema /1, whose fits keep their meaning. Left out are bodies that no
+    value of the unknowns makes possible: there the vehicle file holds what no body has, and a wall
+    would leave nothing to estimate.
     """
     physics = physics_of(problem.dynamics)
-    if physics is None:
+    if physics is None or physics.vehicle.schema == EXACT_SCHEMA:
         return ()
-    rounded = physics.vehicle.schema == EXACT_SCHEMA
-    slack = TRIANGLE_SLACK / (2 * (2 + TRIANGLE_SLACK)) if rounded else 0.0
     index = {d.name: i for i, d in enumerate(problem.dynamics.parameters)}
     found: dict[tuple[int | None, ...], Body] = {}
     for flight in problem.flights:
@@ -221,13 +211,12 @@ def bodies_of(problem: Unknowns) -> tuple[Body, ...]:
                 value = problem.base[index[name]]
                 held[i, j] += value
                 held[j, i] += value if i != j else 0.0
-        found[at] = Body(
-            held=held, columns=tuple(columns), elements=tuple(elements), slack=slack
-        )
+        found[at] = Body(held=held, columns=tuple(columns), elements=tuple(elements))
     return tuple(b for b in found.values() if _reachable(b, problem))
 
 
 def _reachable(body: Body, problem: Unknowns) -> bool:
     theta = np.array([u.start for u in problem.unknowns])
-    moved = moved_inside((body,), theta, problem.lower, problem.upper)
-    return body.room(body.inertia(theta)) > 0 or body.room(body.inertia(moved)) > 0
+    return is_possible(body.inertia(theta)) or is_possible(
+        body.inertia(moved_inside((body,), theta, problem.lower, problem.upper))
+    )

@@ -27,11 +27,11 @@ OF_SENSORS = ("sensor_delay.d", "low_pass.gyro.T", "delay.gyro.d")
 
 @dataclass(frozen=True, kw_only=True)
 class EffectiveLag:
-    """`value` and its standard error `std` [s] (0 where all of it is held); `parts` [s] by
-    parameter."""
+    """`value` and its standard error `std` [s] (0 where all of it is held, None where it is not
+    known); `parts` [s] by parameter."""
 
     value: float
-    std: float
+    std: float | None
     parts: Mapping[str, float]
 
     @property
@@ -39,10 +39,10 @@ class EffectiveLag:
         """The sum and its parts in words."""
         shows = any(n in self.parts for n in OF_SENSORS)
         each = " + ".join(f"{PARTS[n]} {1e3 * v:.1f}" for n, v in self.parts.items())
-        error = f" +- {1e3 * self.std:.2g}" if self.std > 0 else ""
+        error = f" +- {1e3 * self.std:.2g}" if self.std else ""
         return f"commands {'show in the gyro' if shows else 'act'} after {1e3 * self.value:.1f}{error} ms: {each}"
 
-    def to_dict(self) -> dict[str, float | dict[str, float]]:
+    def to_dict(self) -> dict[str, float | dict[str, float] | None]:
         """As in model.json and fit.json."""
         return {"value": self.value, "std": self.std, "parts": dict(self.parts)}
 
@@ -55,4 +55,5 @@ def effective_lag(values: Mapping[str, float], names: tuple[str, ...], covarianc
         return None
     own = np.array([n in parts for n in names], dtype=bool)
     variance = float(covariance[np.ix_(own, own)].sum())
-    return EffectiveLag(value=sum(parts.values()), std=float(np.sqrt(max(variance, 0.0))), parts=parts)
+    std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) else None
+    return EffectiveLag(value=sum(parts.values()), std=std, parts=parts)

@@ -322,7 +322,8 @@ class Paths:
             table = np.array([np.concatenate([v.mean(axis=0), v.std(axis=0)]) for v in z.values()])
             tree = scipy.cluster.hierarchy.linkage(table, method="average")
             found = scipy.cluster.hierarchy.fcluster(tree, max(3, -(-len(flights) // 2)), criterion="maxclust")
-            numbers = dict(zip(flights, found.tolist(), strict=True))
+            if len(set(found.tolist())) > 1:  # of one kind only nothing could be left out
+                numbers = dict(zip(flights, found.tolist(), strict=True))
         return [numbers[r.flight] for r in self.records]
 
 

@@ -227,13 +227,13 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
     rate = (
         "the moments stand for a part of the rotors' torque: motor lag, arms, thrust per command, a clock that is late"
     )
-    errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
-    excess = -2 * least * float(np.trace(j))
-    known = least <= 0 and excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
-    beyond = least < LIMITS["inertia, rounded"].value
-    if known or beyond:
+    if least <= 0:
+        errors = [estimates[n].std for n in names if np.isfinite(estimates[n].std)]
+        principal = np.linalg.eigvalsh(j)
+        excess = float(2 * principal[-1] - principal.sum())
+        known = excess > LIMITS["inertia, errors"].value * float(np.linalg.norm(errors))
         yield Insane(
-            severity="impossible" if known and beyond else "doubtful",
+            severity="impossible" if known and least < LIMITS["inertia, rounded"].value else "doubtful",
             kind="inertia",
             parameters=names,
             statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others"

@@ -144,7 +144,7 @@ def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
         ),
         ('schema = "greybox.mapping/1"\n[rate]\nunit = 3', "no fields"),
         ('schema = "greybox.mapping/1"\n[rate]\nfields = ["gyr_x", "gyr_y", "gyr_z"]\nscale = nan', "finite number"),
-        ("schema = ", "not TOML"),
+        ("schema = ", "not valid TOML"),
     ],
 )
 def test_a_bad_mapping_file_is_one_line(

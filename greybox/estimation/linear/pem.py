@@ -320,7 +320,8 @@ def minimise(
         damping = damping if damping > 1e-8 else 0.0
         gains.append(gain)
         point, current, here, normal = trial, moved, there, following
-    if settings.weigh_start and not bump and not worth_leaving(sum(gains), point.tangent().shape[1]):
+    ended = status in (Status.CONVERGED, Status.FLAT)
+    if settings.weigh_start and ended and not bump and not worth_leaving(sum(gains), point.tangent().shape[1]):
         (point, current, here, normal), status = begin, Status.START_KEPT
     return Solution(
         point=point,
@@ -340,9 +341,8 @@ def worth_leaving(gain: float, directions: int) -> bool:
     With x the whitened way from start to end, E|x|^2 = |mean|^2 + d: staying risks |mean|^2, of which gain - d is the
     unbiased estimate, going risks d (Stein 1981, Annals of Statistics 9(6); the same bar as Akaike's). It is asked only
     where the Hessian at the start has negative curvature. Else the start lies in the basin of a regular optimum, which is
-    the efficient estimate. Without one (states that cancel: an order too high) the maximum is that of a
-    random field over the poles that
-    nothing determines, and fits the record better than it foretells another.
+    the efficient estimate. Without one (states that cancel: an order too high) the maximum is that of a random field over
+    the poles that nothing determines, and fits the record better than it foretells another.
     """
     return gain > 2.0 * directions
 

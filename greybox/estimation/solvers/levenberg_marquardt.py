@@ -123,7 +123,8 @@ class LevenbergMarquardt:
                 if not moved and h is not value.hessian:
                     curvature = Curvature(x.size)
                 elif not moved:
-                    code = Code.CONVERGED if decrement < 1e3 * self.tolerance else Code.NO_PROGRESS
+                    arrived = max(self.tolerance, min(NEAR, 1e3 * self.tolerance))
+                    code = Code.CONVERGED if decrement < arrived else Code.NO_PROGRESS
                     break
         except KeyboardInterrupt:
             code = Code.INTERRUPTED
