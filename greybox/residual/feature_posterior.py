@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNameError
 from greybox.model.expressions import read_function, write_function
+from greybox.residual.as_function import AsFunction
 from greybox.residual.posterior import QUANTITIES, Domain
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
 
@@ -29,10 +30,12 @@ _ARRAYS = ("weights", "root")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FeaturePosterior:
+class FeaturePosterior(AsFunction):
     """Shapes: n_in inputs, n_out outputs, M features. `phi`: SX function x (n_in) -> (M,); `weights` (M, n_out); `root`
     (n_out, M, M), F with F'F the covariance of the weights; `prior` (n_out,) their variance before the data, in whose unit
     `distance` is told; `noise` (n_out,) variance of a new sample. Raises `ModelError`."""
+
+    called: ClassVar[str] = "learned"
 
     inputs: Layout
     outputs: Layout
@@ -127,36 +130,15 @@ class FeaturePosterior:
         phi = ca.densify(self.phi(x))
         return ca.Function("phi", [x], [phi, ca.densify(ca.jacobian(phi, x))])
 
-    def function(
-        self,
-        name: str = "learned",
-        which: Iterable[str] = ("mean", "variance"),
-        *,
-        noise: bool | str = False,
-        symbol: Any = ca.MX,
-    ) -> Any:
-        """A CasADi function z -> the quantities in `which`."""
-        names = list(which)
-        z = symbol.sym("z", len(self.inputs))
-        values = self.expressions(z, names, noise=noise)
-        return ca.Function(name, [z], [ca.densify(values[n]) for n in names], ["z"], names)
-
     def evaluate(self, z: npt.ArrayLike, *, noise: bool = False) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (N, n_out) at the rows of z (N, n_in)."""
-        symbol = ca.MX.sym("z", len(self.inputs))
-        found = self.expressions(symbol, ("mean", "variance"))
-        both = evaluate(
-            ca.Function("moments", [symbol], [ca.densify(ca.vertcat(found["mean"], found["variance"]))]),
-            np.ascontiguousarray(z, dtype=np.float64),
-        )  # fmt: skip
+        both = evaluate(self._moments, np.ascontiguousarray(z, dtype=np.float64))
         n = len(self.outputs)
         return both[:, :n].copy(), both[:, n:] + (self.noise if noise else 0.0)
 
     def at_home(self, z: FloatArray) -> FeaturePosterior:
         """The same, knowing which `distance` is usual at its training inputs z (N, n_in)."""
-        symbol = ca.MX.sym("z", len(self.inputs))
-        far = ca.Function("far", [symbol], [self.expressions(symbol, ("distance",))["distance"]])
-        seen = evaluate(far, np.ascontiguousarray(z)).ravel()
+        seen = evaluate(self._distance, np.ascontiguousarray(z)).ravel()
         usual = tuple(float(v) for v in np.quantile(seen, [0.5, 0.95, 0.99, 1.0]))
         return replace(self, domain=replace(self.domain, distance=(usual[0], usual[1], usual[2], usual[3])))
 

@@ -21,7 +21,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ import numpy.typing as npt
 
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.residual.array_file import read_with_arrays, write_with_arrays
+from greybox.residual.as_function import AsFunction
 from greybox.residual.covariances import Covariance, covariance_from_dict
 from greybox.residual.covariances.covariance import frozen
 from greybox.residual.posterior import QUANTITIES, Domain
@@ -75,7 +75,7 @@ class Latent:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianProcess:
+class GaussianProcess(AsFunction):
     """A trained GP; all fields are plain numbers. n_in inputs, n_out outputs, n_f latent processes.
 
     The process sees (z - input_mean)/input_scale and its outputs are output_mean + output_scale (A
@@ -272,33 +272,6 @@ class GaussianProcess:
         if isinstance(noise, str):
             raise UnknownNameError("group of the GP's noise", noise, ())
         return self.noise if noise else np.zeros(len(self.outputs))
-
-    def function(
-        self,
-        name: str = "gp",
-        which: Iterable[str] = ("mean", "variance"),
-        *,
-        noise: bool = False,
-        symbol: Any = ca.MX,
-    ) -> Any:
-        """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is
-        casadi.MX or SX."""
-        names = list(which)
-        z = symbol.sym("z", len(self.inputs))
-        values = self.expressions(z, names, noise=noise)
-        return ca.Function(name, [z], [ca.densify(values[n]) for n in names], ["z"], names)
-
-    @cached_property
-    def _moments(self) -> Any:
-        z = ca.MX.sym("z", len(self.inputs))
-        values = self.expressions(z, ("mean", "variance"))
-        return ca.Function(
-            "moments", [z], [ca.densify(ca.vertcat(values["mean"], values["variance"]))]
-        )
-
-    @cached_property
-    def _distance(self) -> Any:
-        return self.function("distance", ("distance",))
 
     def evaluate(
         self, z: npt.ArrayLike, noise: bool | str = False

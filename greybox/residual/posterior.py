@@ -33,6 +33,7 @@ from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import checksum, read_json, write_atomic, write_json
 from greybox.plots import Curve, panels
 from greybox.residual.array_file import load_arrays
+from greybox.residual.as_function import AsFunction
 from greybox.residual.kernels import Kernel
 from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
@@ -77,7 +78,7 @@ class _Common:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GPPosterior(Shown):
+class GPPosterior(AsFunction, Shown):
     """A trained GP; all fields are plain numbers. Shapes: n_in inputs, n_out outputs, M support points.
 
     `kernels` one per output (outputs that share a kernel share its evaluation). `support` (M, n_in) and the kernels are in
@@ -282,30 +283,6 @@ class GPPosterior(Shown):
     def with_spread(self, factor: float) -> GPPosterior:
         """The same mean with `factor` > 0 times the standard deviation, near the data and far from it."""
         return replace(self, output_scale=self.output_scale * factor, weights=self.weights / factor)
-
-    def function(
-        self,
-        name: str = "gp",
-        which: Iterable[str] = ("mean", "variance"),
-        *,
-        noise: bool | str = False,
-        symbol: Any = ca.MX,
-    ) -> Any:
-        """A CasADi function z -> the quantities in `which` (named in- and outputs); `symbol` is casadi.MX or casadi.SX."""
-        names = list(which)
-        z = symbol.sym("z", len(self.inputs))
-        values = self.expressions(z, names, noise=noise)
-        return ca.Function(name, [z], [ca.densify(values[n]) for n in names], ["z"], names)
-
-    @cached_property
-    def _moments(self) -> Any:
-        z = ca.MX.sym("z", len(self.inputs))
-        values = self.expressions(z, ("mean", "variance"))
-        return ca.Function("moments", [z], [ca.densify(ca.vertcat(values["mean"], values["variance"]))])
-
-    @cached_property
-    def _distance(self) -> Any:
-        return self.function("distance", ("distance",))
 
     @cached_property
     def _mean(self) -> Any:
