@@ -44,9 +44,8 @@ from greybox.model.effect import Effect
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
+from greybox.statistics.evidence import FELT
 
-FELT = 3.0
-"""Standard errors from which a parameter counts as felt."""
 CLEAR = 0.01
 """Probability below which flights count as different in their thrust scale (chi-square test)."""
 NOTICEABLE = 0.005

@@ -19,17 +19,15 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.layer import physics_of
 from greybox.model.noise import Coloured, LowPass
+from greybox.model.noise.low_pass import FILTERED
+from greybox.statistics.evidence import FELT
 from greybox.statistics.whiteness import is_coloured
 
 Value = TypeVar("Value")
 
-FILTERED = ("gyro", "accelerometer")
-"""Sensors that come with a filter before the log: those of the IMU."""
 LONGEST = 0.02
 """Time constant [s] from which it is no filter of an IMU (8 Hz) but something else that the model
 has not."""
-FELT = 3.0
-"""Standard errors from which a time constant counts as felt."""
 
 
 Part = LowPass | Coloured

@@ -15,14 +15,13 @@ from greybox.discovery.rules import RULES
 from greybox.estimation.fit import Fit
 from greybox.model.layer import physics_of
 from greybox.model.noise import Coloured, LowPass, SensorPart, sensor_parts
+from greybox.model.noise.low_pass import FILTERED
 from greybox.validation.whiteness import ChannelWhiteness, whiteness
 
 LAGS = 25
 """Lags of the autocorrelation that are looked at."""
 CLEARLY = 0.01
 """Level at which a channel counts as not white, over all channels: colour is only proposed by it."""
-FILTERED = ("gyro", "accelerometer")
-"""Sensors that firmware filters before it logs them."""
 
 
 def innovations_of(at: Fitted) -> dict[str, ChannelWhiteness]:

@@ -17,11 +17,10 @@ from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
 from greybox.discovery.left import axis_gains
 from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
+from greybox.statistics.evidence import FELT
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
 """A structure and where its fit starts."""
-FELT = 3.0
-"""Standard errors from which the time constant of a filter or of colour counts as there."""
 ROUNDS = 24
 """Moves after which a search ends in any case: more than any craft misses."""
 
@@ -92,13 +91,16 @@ class Search:
         fits = self._tried(at, scores) if len(self.named(at.structure)) < self.most else []
         gains = any(self.score(f) > self.score(at) for f in fits)
         bare = not set(self.named(at.structure)) - self.flights.causes.base
-        held = any(needed for _, needed in axis_gains(at, self.price).values())
-        if held and (bare or not gains):
+        if (bare or not gains) and self._holds_something(at):
             # What is not felt alone can only explain what is there and has no name. What acts with
             # another only (a wind with a drag) is offered before others bend into its place.
             silent = [p for p in unfelt(scores, self.flights) if not gains or len(p.causes) > 1]
             fits += self.flights.contest(self._moves(at, silent), at)
         return self._best(at, fits, scores)
+
+    def _holds_something(self, at: Fitted) -> bool:
+        """Whether the unnamed force or torque clearly holds something."""
+        return any(needed for _, needed in axis_gains(at, self.price).values())
 
     def _tried(self, at: Fitted, scores: Scores) -> list[Fitted]:
         """Fits of what promises most: all that still gain next to each other, then single causes

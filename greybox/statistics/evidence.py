@@ -12,3 +12,6 @@ about twice the log of the odds).
 
 CLEAR_LOG_RATIO = CLEAR / 2
 """The same as a difference of log likelihoods between two models with equally many parameters."""
+
+FELT = 3.0
+"""Standard errors from which a parameter counts as felt."""

@@ -20,6 +20,8 @@ from greybox.model.noise.part import Place, SensorPart
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Expr, FloatArray
 
+FILTERED = ("gyro", "accelerometer")
+"""Sensors that firmware filters before it logs them: those of the IMU."""
 START_SPREAD = 10.0
 """Spread of the state at the start in units of the sensor's white noise, beside half of what the
 sensor shows first."""
