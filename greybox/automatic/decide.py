@@ -13,7 +13,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -41,6 +41,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
+from greybox.model.effective_lag import PARTS as IN_A_ROW
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
@@ -67,6 +68,8 @@ DIGITS = 3
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
 """Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
 THRUST = "thrust.c2"
+TAKES_LATENESS = frozenset(n.split(".")[0] for n in IN_A_ROW) - {"motor_lag"}
+"""Effects that stand for a filter of the gyro where there is none: what is late in its place."""
 
 Say = Callable[[str], None]
 
@@ -355,8 +358,10 @@ class _Decider:
         parts: tuple[Dataset, Dataset],
         *,
         solver: LevenbergMarquardt = QUICK,
+        afresh: Collection[str] = (),
     ) -> Candidate | None:
-        """`steps` fitted and judged, from where `before` ended; None where that is not possible.
+        """`steps` fitted and judged, from where `before` ended, effects that begin `afresh` from
+        their nominal values; None where that is not possible.
 
         Errors further ahead are tried where the likelihood foretells poorly.
         """
@@ -365,7 +370,7 @@ class _Decider:
         if before is None:
             options = options.but(initialisation="equation-error")
         else:
-            dropped = set(_names(before.steps)) - set(_names(steps))
+            dropped = {*afresh, *_names(before.steps)} - (set(_names(steps)) - set(afresh))
             options = _from(before.fit, before.likelihood, options, dropped)
         try:
             model, options = self._one_library(steps, options)
@@ -464,7 +469,8 @@ class _Decider:
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
-            again = self._try(steps, own, first, parts)
+            # a delay has taken what a filter is late: it lets go, or the search stays where it was
+            again = self._try(steps, own, first, parts, afresh=TAKES_LATENESS)
             if again is None:
                 reason = "no fit with one"
                 break
