@@ -5,8 +5,9 @@
    first set are not white and BIC clearly asks for it: a filter that is left out looks like more
    lag of the motors, colour that is left out like a slower filter.
 3. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
-   every flight, with disturbance states of force and torque, and foretell the part left out. The
-   smallest set within one standard error of the best is taken, less the steps that nothing feels.
+   every flight, with disturbance states of force and torque, and foretell the part left out. Of
+   the sets within one standard error of the best the one with the lowest BIC is taken, less the
+   steps that nothing feels: an effect that is there and left out bends what it is taken for.
 4. The thrust scale gets a value per flight where flights differ by more than their errors.
 5. Errors up to half a second ahead replace the likelihood where that foretells better.
 """
@@ -187,7 +188,7 @@ class _Decider:
         options, first = self._filters(options, first, parts)
         late = set(_names(first.steps)) & set(names_of(LATE_POSE))
         rest = [s for s in steps[1:] if not late & set(names_of(s))]
-        chosen = self._smallest_good((*first.steps, *rest), options, first, parts)
+        chosen = self._good_set((*first.steps, *rest), options, first, parts)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
         return self._decided(chosen.steps, self._started(options, chosen), chosen)
@@ -415,7 +416,7 @@ class _Decider:
             build=(*free, *self.considered),
         )
 
-    def _smallest_good(
+    def _good_set(
         self,
         steps: tuple[Step, ...],
         options: FitOptions,
@@ -432,7 +433,8 @@ class _Decider:
                 tried = [*tried, got] if got is not first else tried
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
         best = min(tried, key=lambda c: c.score.mean)
-        chosen = next((c for c in tried if _as_good(c, best)), best)
+        good = [c for c in tried if _as_good(c, best)]
+        chosen = min(good, key=lambda c: c.likelihood.bic)
         kept = _felt_steps(chosen)
         if kept != chosen.steps:
             less = self._try(kept, options, chosen, parts)
@@ -443,9 +445,9 @@ class _Decider:
             self._note(
                 "effects",
                 _listed(chosen.steps),
-                "the smallest set within one standard error of the "
-                "best on pieces left out; squared error ahead over that of holding the last value, "
-                f"step by step: {listed}",
+                "of the sets within one standard error of the best on pieces left out the one with "
+                "the lowest BIC; squared error ahead over that of holding the last value, step by "
+                f"step: {listed}",
                 "--effects, --per-flight",
             )
         return chosen
