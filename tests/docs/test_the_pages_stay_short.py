@@ -70,7 +70,8 @@ def test_sentences_of_the_learning_path_are_short(page: str) -> None:
 
 
 def test_sentences_are_told_apart() -> None:
-    text = "# T\n\nOne two. Three\nfour (five.) Six?\n\n- a [link](x.md)\n  goes on\n- b\n\n| c | d e |\n\n    code\n\n```text\nno\n```\n"
+    prose = "# T\n\nOne two. Three\nfour (five.) Six?\n\n- a [link](x.md)\n  goes on\n- b\n\n"
+    text = f"{prose}| c | d e |\n\n    code\n\n```text\nno\n```\n"
     assert sentences(text) == ["One two.", "Three four (five.", "Six?", "- a link goes on", "- b", "c", "d e"]
     assert words("| --- | a 1.5 += `b`") == ["a", "1.5", "`b`"]
     assert without_code("x\n```c\nint y;\n```\nz\n").split() == ["x", "z"]
