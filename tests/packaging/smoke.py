@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import greybox
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 
 BIN = Path(sys.executable).parent
 SET = "arpl_crazyflie"

@@ -23,7 +23,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SMOKE = Path(__file__).with_name("smoke.py")
 WRITERS = ROOT / "tests" / "data" / "readers" / "writers.py"
-PACKAGES = ("greybox", "mpc_export", "scenarios")
+PACKAGES = ("greybox", "mpc_export")
 VERSIONS = ("3.11", "3.12", "3.13")
 SETTINGS = {
     "lowest": ("whl", ["-c", str(ROOT / "constraints-lowest.txt")]),
