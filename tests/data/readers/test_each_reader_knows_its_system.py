@@ -14,7 +14,7 @@ from greybox.data.logs import read_table
 from greybox.data.logs.csv import read_csv
 from greybox.data.readers import format_of, read_recording
 from greybox.errors import GreyboxError
-from scenarios.flights import flight_path
+from greybox.examples import flight_path
 from tests.data.readers import writers as w
 
 N = 200
