@@ -1,4 +1,4 @@
-"""The gallery (docs/gallery.md): every report from shipped data, and one picture of each by headless Chromium.
+"""The gallery: every report from shipped data, and one picture of each by headless Chromium.
 
     python -m scenarios.studies.gallery --out gallery_out [--only fit,plan] [--pictures docs/images]
 
