@@ -51,7 +51,7 @@ demo: $(STAMP)
 
 demo-mpc: OUT = demo_mpc_out
 demo-mpc: $(DEMO_STAMP)
-	$(BIN)/python -m scenarios.courses.demo --out $(OUT) --jobs $(JOBS)
+	$(BIN)/python -m mpc_export.mission.demo --out $(OUT) --jobs $(JOBS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

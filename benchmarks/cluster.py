@@ -37,8 +37,8 @@ RIVALS = (
 
 def step(seconds: float) -> tuple[Flights, list[Task]]:
     """The rivals of one step."""
-    from scenarios.plants.effects import MotorLag
-    from scenarios.plants.presets import x250
+    from greybox.plants.effects import MotorLag
+    from greybox.plants.presets import x250
     from scenarios.studies.discovery_cells import flights, vehicle_of
 
     data = flights(x250([MotorLag(tau=0.04)]), (1, 2), seconds, "train")

@@ -66,12 +66,12 @@ PEERS = (
 
 def make_case(folder: Path) -> None:
     """Fly the plant; leave log.npz and vehicle.toml in `folder`."""
-    from scenarios.excitation.injection import rich_excitation
-    from scenarios.excitation.waypoints import RandomWaypoints
-    from scenarios.plants import effects as plant_effects
-    from scenarios.plants.flight_log import fly
-    from scenarios.plants.presets import controller_for, nano
-    from scenarios.plants.vehicle_file import write_vehicle
+    from greybox.excitation.injection import rich_excitation
+    from greybox.excitation.waypoints import RandomWaypoints
+    from greybox.plants import effects as plant_effects
+    from greybox.plants.flight_log import fly
+    from greybox.plants.presets import controller_for, nano
+    from greybox.plants.vehicle_file import write_vehicle
 
     plant = nano(
         [

@@ -31,10 +31,10 @@ EVALUATIONS = 3
 
 def flight(rate: float, seconds: float) -> dict[str, Any]:
     """One simulated flight."""
-    from scenarios.excitation.injection import rich_excitation
-    from scenarios.excitation.waypoints import RandomWaypoints
-    from scenarios.plants.flight_log import fly
-    from scenarios.plants.presets import controller_for
+    from greybox.excitation.injection import rich_excitation
+    from greybox.excitation.waypoints import RandomWaypoints
+    from greybox.plants.flight_log import fly
+    from greybox.plants.presets import controller_for
     from scenarios.studies.recovery import plant
 
     craft = plant()

@@ -36,10 +36,10 @@ from greybox.residual.files import load_model, save_model  # noqa: E402
 from mpc_export.acados import first_order, session  # noqa: E402
 from mpc_export.do_mpc import do_mpc  # noqa: E402
 from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE  # noqa: E402
+from mpc_export.mission.craft import vehicle  # noqa: E402
 from mpc_export.mission.flight import controller, mission, tightened  # noqa: E402
 from mpc_export.tube.solver import TubeSolver  # noqa: E402
 from mpc_export.tube.stages import block  # noqa: E402
-from scenarios.courses import vehicle  # noqa: E402
 
 RESULTS = Path(__file__).resolve().parent / "results"
 TOLERANCE, KAPPA, DEADLINE = 1e-6, 1.5, 0.01

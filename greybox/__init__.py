@@ -49,6 +49,7 @@ _PUBLIC = {
     "fit_report": "greybox.report.fit_report",
     "twin": "greybox.simulators.make",
     "GreyboxError": "greybox.errors",
+    "examples": "greybox.examples",
 }
 
 __all__ = [
@@ -71,6 +72,7 @@ __all__ = [
     "compare",
     "dataset_from_arrays",
     "discover",
+    "examples",
     "export",
     "fit",
     "fit_linear",
@@ -95,6 +97,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from greybox import examples
     from greybox.automatic import fit
     from greybox.commands.chain.front_door import identify
     from greybox.commands.front_door import compare, export, frf, load, profile
@@ -125,7 +128,8 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
-        value = getattr(importlib.import_module(_PUBLIC[name]), name)
+        module = importlib.import_module(_PUBLIC[name])
+        value = module if module.__name__ == f"greybox.{name}" else getattr(module, name)
         globals()[name] = value
         return value
     raise AttributeError(f"module 'greybox' has no attribute '{name}'")

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from greybox.plants.airframe import Airframe, x_layout
 from scenarios.foreign.craft import Air, Craft
-from scenarios.plants.airframe import Airframe, x_layout
 
 FOREIGN = ("rotorpy", "mujoco", "drone_models")
 ALL = ("plants", *FOREIGN)

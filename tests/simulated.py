@@ -7,12 +7,12 @@ import tempfile
 from pathlib import Path
 
 from greybox.data import Dataset, dataset_from_arrays
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import controller_for
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
 
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}

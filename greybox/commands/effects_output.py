@@ -83,8 +83,8 @@ def _page() -> Iterator[str]:
         "Physics that the rigid body with rotors does not have by itself and that a fit can add by name "
         "(`--effects a,b`). Every effect lives in one stage, is absent at its null, and combines with others in a way "
         "that does not depend on the order in which they are listed. Generated from the declarations by "
-        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same. Effects of your own: "
-        "[own_effect.md](own_effect.md)."
+        "`python -m greybox.commands.effects --markdown`; `greybox effects` prints the same with the sources of each. "
+        "Effects of your own: [own_effect.md](own_effect.md)."
     )
     for stage, meaning in STAGES.items():
         members = [e for e in CATALOGUE if e.stage == stage]
@@ -101,11 +101,6 @@ def _page() -> Iterator[str]:
             parameters = ", ".join(f"`{p.name}` [{p.unit}]{_limits(p, *b)}" for p, *b in _rows(e))
             cells = (f"`{e.name}`", e.summary, f"`{e.formula}`", parameters, _needs(e) or "-", e.validity)
             yield "| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |"
-    yield ""
-    yield "## References"
-    yield ""
-    for e in CATALOGUE:
-        yield f"- `{e.name}`: " + "; ".join(e.references)
 
 
 def _rows(effect: Effect) -> list[tuple[Parameter, float | None, float | None]]:

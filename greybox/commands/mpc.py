@@ -6,7 +6,6 @@ import argparse
 import shlex
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,21 +62,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise GreyboxError("--pace takes 0.5 to 10", got=f"{arguments.pace:g}", fix="--pace 2")
 
 
-def _demo() -> tuple[Callable[[Path, Callable[[str], None]], dict[str, Path]], str]:
-    """What writes the demo's models into a folder, and its plant. Raises `GreyboxError`
-    where its vehicle, which comes with the checkout, is not there."""
-    from greybox.errors import GreyboxError
-
-    try:
-        from scenarios.courses.demo import PLANT, identify
-    except ModuleNotFoundError:
-        raise GreyboxError(
-            "the demo's simulated vehicle comes with the checkout of the project, not with the package",
-            fix="greybox mpc MODEL.json, or `make demo-mpc` in a checkout",
-        ) from None
-    return identify, PLANT
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where it refuses."""
     from greybox.files import dump_json, write_atomic, write_json
@@ -115,8 +99,9 @@ def run(arguments: argparse.Namespace) -> int:
     command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
     demo = None
     if arguments.subject == "demo":
-        identify, plant = _demo()
-        demo = Demo(identify=identify, plant=plant)
+        from mpc_export.mission.demo import PLANT, identify
+
+        demo = Demo(identify=identify, plant=PLANT)
     flown = prepare(
         arguments.subject, out, demo=demo,
         plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,

@@ -2,7 +2,7 @@
 
 Controllers have the same solver and the same seeds and differ in what they know:
 
-    mean       the model, no tightening (the demo: nominal, pem and hybrid, see scenarios/courses/demo.py)
+    mean       the model, no tightening (the demo: nominal, pem and hybrid, see mpc_export/mission/demo.py)
     tube       the model, limits tightened by the covariance of the closed loop
     constant   the model, every plane moved by one constant that training flights ask for
     cascade    a cascade of PID loops that knows the vehicle file

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.battery import Battery
-from scenarios.plants.vectors import ZERO, Vector
+from greybox.plants.airframe import Airframe
+from greybox.plants.battery import Battery
+from greybox.plants.vectors import ZERO, Vector
 
 
 @dataclass(frozen=True, kw_only=True)

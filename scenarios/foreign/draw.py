@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.plants.airframe import Airframe, plus_layout, x_layout
+from greybox.plants.flight_log import Log, write_log
+from greybox.plants.noise import SensorNoise
+from greybox.plants.quadrotor import Quadrotor
 from scenarios.foreign.craft import Air, Craft
 from scenarios.foreign.flights import DURATION, TEST, TRAIN, fly_plan
 from scenarios.foreign.hidden import with_battery
 from scenarios.foreign.in_house import in_house_plant
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator
 from scenarios.foreign.stranger import Knowledge, nominal_values, vehicle_text
-from scenarios.plants.airframe import Airframe, plus_layout, x_layout
-from scenarios.plants.flight_log import Log, write_log
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.quadrotor import Quadrotor
 from scenarios.plants.realistic_sensors import Realism, realistic
 
 SIMULATORS = ("plants", "rotorpy", "mujoco", "drone_models")

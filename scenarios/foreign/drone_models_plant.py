@@ -20,12 +20,9 @@ import numpy as np
 # before drone_models, which would switch SciPy's array interface on for everybody
 import scipy  # noqa: F401
 
-from scenarios.foreign.craft import Craft
-from scenarios.foreign.loads import Load
-from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.vectors import (
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.noise import SensorNoise
+from greybox.plants.vectors import (
     Quaternion,
     Vector,
     add,
@@ -36,6 +33,9 @@ from scenarios.plants.vectors import (
     rotation,
     subtract,
 )
+from scenarios.foreign.craft import Craft
+from scenarios.foreign.loads import Load
+from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
 
 _switch = os.environ.get("SCIPY_ARRAY_API")
 try:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from scenarios.excitation import Excitation, Lemniscate, Multisine, RandomWaypoints
+from greybox.excitation import Excitation, Lemniscate, Multisine, RandomWaypoints
+from greybox.plants.controller import CascadeController, Gains
+from greybox.plants.flight_log import Log, Plant, fly
 from scenarios.foreign.craft import Craft
-from scenarios.plants.controller import CascadeController, Gains
-from scenarios.plants.flight_log import Log, Plant, fly
 
 SAMPLE_TIME = 0.01
 DURATION = 20.0

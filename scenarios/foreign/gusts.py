@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
+from greybox.plants.vectors import Vector
 from scenarios.foreign.craft import Air
-from scenarios.plants.vectors import Vector
 
 
 class Gusts:

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.plants import effects as known
+from greybox.plants.airframe import Airframe
+from greybox.plants.battery import Battery
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.vectors import Vector, add
 from scenarios.foreign.craft import Air, Craft
-from scenarios.plants import effects as known
 from scenarios.plants import outside
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.battery import Battery
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.vectors import Vector, add
 
 NEEDS_DRAG = ("steady_wind",)
 """Acts only through a drag that the vehicle file must know, or that is hidden with it."""

@@ -1,9 +1,8 @@
-"""The plants of scenarios.plants fly the same craft: the one simulator here that we wrote."""
+"""The plants of greybox.plants fly the same craft: the one simulator here that we wrote."""
 
 from __future__ import annotations
 
-from scenarios.foreign.craft import Craft
-from scenarios.plants.effects import (
+from greybox.plants.effects import (
     AxialInflow,
     BatterySag,
     CommandDelay,
@@ -14,8 +13,9 @@ from scenarios.plants.effects import (
     RotorDrag,
     SteadyWind,
 )
-from scenarios.plants.noise import ProcessNoise, SensorNoise
-from scenarios.plants.quadrotor import Quadrotor
+from greybox.plants.noise import ProcessNoise, SensorNoise
+from greybox.plants.quadrotor import Quadrotor
+from scenarios.foreign.craft import Craft
 
 
 def in_house_plant(

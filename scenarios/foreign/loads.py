@@ -2,7 +2,7 @@
 its commands, of its readings.
 
 A simulator does by itself what it can (`hidden.settled`); the hooks of the remaining
-`scenarios.plants.effects` are asked here for the force and moment that they add at the present
+`greybox.plants.effects` are asked here for the force and moment that they add at the present
 motion. Nothing of greybox is used.
 """
 
@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenarios.foreign.craft import Craft
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.effects.base import Body, Hub, PlantEffect, hooks
-from scenarios.plants.vectors import (
+from greybox.plants.airframe import Airframe
+from greybox.plants.effects.base import Body, Hub, PlantEffect, hooks
+from greybox.plants.vectors import (
     ZERO,
     Quaternion,
     Vector,
@@ -26,6 +25,7 @@ from scenarios.plants.vectors import (
     rotation,
     subtract,
 )
+from scenarios.foreign.craft import Craft
 
 
 class Load(NamedTuple):

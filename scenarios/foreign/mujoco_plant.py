@@ -15,12 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.noise import SensorNoise
+from greybox.plants.vectors import Quaternion, Vector, add, apply, cross, rotation, subtract
 from scenarios.foreign.craft import Craft
 from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.vectors import Quaternion, Vector, add, apply, cross, rotation, subtract
 
 try:
     import mujoco

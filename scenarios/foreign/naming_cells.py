@@ -25,6 +25,11 @@ from typing import Any
 
 import numpy as np
 
+from greybox.plants.controller import CascadeController
+from greybox.plants.effects import RotorDrag
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.flight_log import Log, fly, write_log
+from greybox.plants.noise import SensorNoise
 from scenarios.foreign.craft import Air, Craft
 from scenarios.foreign.draw import Draw, draw, logged
 from scenarios.foreign.flights import (
@@ -49,11 +54,6 @@ from scenarios.foreign.hidden import (
 )
 from scenarios.foreign.plant import ForeignPlant
 from scenarios.foreign.stranger import Knowledge, vehicle_text
-from scenarios.plants.controller import CascadeController
-from scenarios.plants.effects import RotorDrag
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.flight_log import Log, fly, write_log
-from scenarios.plants.noise import SensorNoise
 
 SIMULATORS = ("rotorpy", "mujoco", "drone_models")
 FILES = ("exact", "wrong", "bare")

@@ -17,14 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.foreign.craft import Craft
-from scenarios.foreign.gusts import Gusts
-from scenarios.foreign.loads import Instant, Load, Loads
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.noise import SensorNoise, axes
-from scenarios.plants.quadrotor import STATES
-from scenarios.plants.vectors import (
+from greybox.plants.airframe import Airframe
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.noise import SensorNoise, axes
+from greybox.plants.quadrotor import STATES
+from greybox.plants.vectors import (
     ZERO,
     Quaternion,
     Vector,
@@ -38,6 +35,9 @@ from scenarios.plants.vectors import (
     rotation,
     subtract,
 )
+from scenarios.foreign.craft import Craft
+from scenarios.foreign.gusts import Gusts
+from scenarios.foreign.loads import Instant, Load, Loads
 
 _SAME_INSTANT = 1e-9
 LOAD_STEP = 0.005
@@ -119,7 +119,7 @@ class ForeignPlant(ABC):
         charge_used: float = 0.0,
     ) -> None:
         """Start anew at t = 0 with rotors at hover speed; arguments as in
-        `scenarios.plants.quadrotor.Quadrotor`.
+        `greybox.plants.quadrotor.Quadrotor`.
 
         Raises ValueError for a sequence of seeds: a foreign plant flies alone.
         """

@@ -1,6 +1,6 @@
 """Oracle of power: can anybody see in these logs what is hidden in them?
 
-The flights are cut into windows of a second. In every window the plant of `scenarios.plants` with
+The flights are cut into windows of a second. In every window the plant of `greybox.plants` with
 all hidden effects flies the recorded commands from the true state; so does the plant without one of
 them. The difference of their noise-free readings, D, is what the effect does to the log. Against it
 stand the sensors' noise (white, coloured, vibration and jitter of real ones) and everything that
@@ -27,15 +27,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.plants.effects import BatterySag, MotorLag
+from greybox.plants.effects.base import Body, PlantEffect
+from greybox.plants.noise import SensorNoise
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vectors import Vector, apply_transposed
 from scenarios.foreign.flights import SAMPLE_TIME
 from scenarios.foreign.hidden import with_battery
 from scenarios.foreign.naming_cells import LAG_ERROR, Case, air_of
 from scenarios.foreign.stranger import INERTIA_ERROR, MASS_ERROR, THRUST_ERROR, TORQUE_ERROR
-from scenarios.plants.effects import BatterySag, MotorLag
-from scenarios.plants.effects.base import Body, PlantEffect
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vectors import Vector, apply_transposed
 
 Array = NDArray[np.float64]
 CLEAR = 10.0
@@ -134,7 +134,7 @@ def windows_of(flights: Mapping[str, Mapping[str, Array]]) -> Windows:
 
 
 def twin(case: Case, effects: Sequence[PlantEffect], **factors: Any) -> Quadrotor:
-    """The plant of `scenarios.plants` with these effects; factors (shares, numbers or one per
+    """The plant of `greybox.plants` with these effects; factors (shares, numbers or one per
     member) of mass, thrust, torque, xx, yy, zz, lag."""
     craft = case.base.craft
     if any(isinstance(e, BatterySag) for e in effects):

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import OdeSolver
 
+from greybox.plants.effects.base import PlantEffect
+from greybox.plants.noise import SensorNoise
+from greybox.plants.vectors import Quaternion, Vector, subtract
 from scenarios.foreign.craft import Craft
 from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
-from scenarios.plants.effects.base import PlantEffect
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.vectors import Quaternion, Vector, subtract
 
 try:
     from rotorpy.vehicles.multirotor import Multirotor

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.noise import SensorNoise
+from greybox.plants.airframe import Airframe
+from greybox.plants.noise import SensorNoise
 
 MASS_ERROR, INERTIA_ERROR, THRUST_ERROR, TORQUE_ERROR = 0.03, 0.3, 0.2, 0.2
 """Standard deviations of the nominal numbers relative to the truth; what a file with sigmas says of

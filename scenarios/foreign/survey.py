@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.plants.flight_log import Log
 from scenarios.foreign.draw import SIMULATORS, Draw, draw, flights_of
 from scenarios.foreign.flights import CENTER
-from scenarios.plants.flight_log import Log
 
 FARTHEST = 3.5
 """Distance from the middle of the flights that counts as lost [m]; references stay within 2.2 m."""

@@ -1,1 +1,1 @@
-"""Simulated plants in NumPy, independent of greybox's equations."""
+"""Plants, sensors and faults that only the checkout needs: effects outside the catalogue, a motor, linear systems."""

@@ -13,7 +13,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.plants.noise import SensorNoise, axes
+from greybox.plants.noise import SensorNoise, axes
+from greybox.plants.vectors import multiply, normalised, quaternion_of
 from scenarios.plants.sensor_faults import (
     ACCELEROMETER,
     GYRO,
@@ -28,7 +29,6 @@ from scenarios.plants.sensor_faults import (
     uneven,
     vibration,
 )
-from scenarios.plants.vectors import multiply, normalised, quaternion_of
 
 COMMANDS = "u"
 INGREDIENTS = ("colour", "vibration", "low_pass", "pose_delay", "jitter", "command_step", "lost", "drift")

@@ -25,12 +25,12 @@ from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import Fit, fit
 from greybox.estimation.predictors.multi_step import MultiStep
 from greybox.estimation.record import Record, hold_missing
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.effects import effect_by_name
 from greybox.model.model import PhysicsModel, sensors_for
 from greybox.model.vehicle import read_vehicle
 from greybox.symbolic import FloatArray
 from greybox.validation.metrics import r_squared
-from scenarios.flights import flight_path, vehicle_path
 
 EFFECTS = (
     "motor_lag",

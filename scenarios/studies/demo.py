@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.cli import main as greybox
-from scenarios.flights import nanobench_split, vehicle_path
+from greybox.examples import nanobench_split, vehicle_path
 from scenarios.studies.discovery_story import main as tell
 
 

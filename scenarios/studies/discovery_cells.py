@@ -16,21 +16,21 @@ from typing import Any
 
 import numpy as np
 
-import scenarios.plants.effects as hidden
+import greybox.plants.effects as hidden
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
 from greybox.estimation.differences import widened
+from greybox.excitation.circle import Circle
+from greybox.excitation.figure_eight import FigureEight
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.excitation.circle import Circle
-from scenarios.excitation.figure_eight import FigureEight
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.airframe import Airframe
-from scenarios.plants.controller import Gains
-from scenarios.plants.flight_log import Reference, fly, member
-from scenarios.plants.noise import ProcessNoise
-from scenarios.plants.presets import (
+from greybox.plants.airframe import Airframe
+from greybox.plants.controller import Gains
+from greybox.plants.flight_log import Reference, fly, member
+from greybox.plants.noise import ProcessNoise
+from greybox.plants.presets import (
     DEFAULT,
     DUCKIEDRONE,
     NANO,
@@ -42,9 +42,9 @@ from scenarios.plants.presets import (
     nano,
     x250,
 )
-from scenarios.plants.quadrotor import Quadrotor
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.plants.realistic_sensors import REALISTIC, realistic
-from scenarios.plants.vehicle_file import write_vehicle
 
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 ERRORS = {"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1}

@@ -2,7 +2,7 @@
 
     python -m scenarios.studies.discovery_grid --out F.jsonl --cells clean --seeds 1000:1100
     python -m scenarios.studies.discovery_grid --out F.jsonl --cells single --sizes large,medium,near --seeds 1000:1004
-    python -m scenarios.studies.discovery_grid --out F.jsonl --summary [--docs docs]
+    python -m scenarios.studies.discovery_grid --out F.jsonl --summary [--docs tables]
 
 Two training flights of 16 s at 100 Hz and a test flight of 8 s per case (see discovery_cells). Every case is written as one
 line when it is done, so that a study that was stopped goes on where it was. Seeds below 1000 are for development; figures

@@ -38,13 +38,13 @@ from greybox.discovery.lead import led
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.files import append_json_line
+from greybox.plants.effects import PlantEffect
+from greybox.plants.presets import x250
+from greybox.plants.quadrotor import Quadrotor
 from greybox.validation.gap import NOTHING, foresee
-from scenarios.excitation.waypoints import RandomWaypoints
 from scenarios.plants import outside
-from scenarios.plants.effects import PlantEffect
-from scenarios.plants.presets import x250
-from scenarios.plants.quadrotor import Quadrotor
 from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
 from scenarios.studies.discovery_oracle import AHEAD, ahead
 from scenarios.studies.rows import open_ended, read_rows

@@ -27,10 +27,10 @@ from greybox.data.checks import check
 from greybox.data.logs import read_logs
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
+from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_path, flight_paths, vehicle_path
 from greybox.files import write_json
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
 from greybox.report.discover_report import discover_report
-from scenarios.flights import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_path, flight_paths, vehicle_path
 
 HORIZONS = (0.0, 0.1, 0.5)
 NUISANCE: Mapping[str, tuple[tuple[str, ...], float]] = {

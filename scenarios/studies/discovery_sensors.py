@@ -28,12 +28,12 @@ from greybox.data.checks import check_logs
 from greybox.data.logs import read_logs
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.files import append_json_line
 from greybox.model.effects import CATALOGUE
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import NANO, X250, controller_for
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import NANO, X250, controller_for
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, Realism, realistic
 from scenarios.studies.discovery_cells import MAKERS, cases, vehicle_of
 from scenarios.studies.rows import open_ended, read_rows, wilson

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.cli import main as greybox
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.effects import CenterOfMassOffset, MotorLag, PlantEffect, RotorDrag
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
+from greybox.plants.effects import CenterOfMassOffset, MotorLag, PlantEffect, RotorDrag
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.discovery_grid import ERRORS, SIGMA
 
 STORIES: dict[str, tuple[PlantEffect, ...]] = {

@@ -236,7 +236,7 @@ def page(rows: Sequence[Row]) -> str:
     text = [
         "# Discovery: what the grid says", "",
         f"Written by `zcat {KEPT} > rows.jsonl` and `python -m scenarios.studies.discovery_grid --out rows.jsonl --summary",
-        f"--docs docs`; {len(rows)} logs with seeds from {JUDGING} on, which nothing was tuned on, by the versions that",
+        f"--docs tables`; {len(rows)} logs with seeds from {JUDGING} on, which nothing was tuned on, by the versions that",
         "`scenarios/results/README.md` lists. Shares with 95 % Wilson intervals.", "",
         *rates(rows), "", *clean_rates(rows), "",
         "The oracle is the structure that is told the hidden effects, on the same flights; where it is not certified, the",

@@ -103,10 +103,13 @@ def _document(thing: Any) -> str:
     return re.sub(r"^(>>> .*(?:\n.+)*)", r"```text\n\1\n```", text, flags=re.MULTILINE)
 
 
-def members(kind: type) -> list[tuple[str, Any]]:
-    """Public methods and properties that greybox gives a class, its own before inherited ones."""
+def members(thing: Any) -> list[tuple[str, Any]]:
+    """Public methods and properties that greybox gives a class, its own before inherited ones; functions of a module."""
+    if inspect.ismodule(thing):
+        own = [(n, f) for n, f in vars(thing).items() if inspect.isfunction(f) and f.__module__ == thing.__name__]
+        return [(n, f) for n, f in own if not n.startswith("_")]
     found: dict[str, Any] = {}
-    for base in inspect.getmro(kind):
+    for base in inspect.getmro(thing) if inspect.isclass(thing) else ():
         if not base.__module__.startswith("greybox"):
             continue
         for name, value in vars(base).items():
@@ -126,7 +129,8 @@ def python_interface() -> str:
 
     # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
     public = {name: getattr(greybox, name) for name in greybox.__all__}
-    titles = {name: f"class {name}" if inspect.isclass(thing) else f"{name}()" for name, thing in public.items()}
+    kinds = {name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ") for name, t in public.items()}
+    titles = {name: f"{kind}{name}" if kind else f"{name}()" for name, kind in kinds.items()}
     lines = [
         "## Python",
         "",
@@ -138,8 +142,9 @@ def python_interface() -> str:
         anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
         lines.append(f"| [`{name}`](#{anchor}) | {_summary(thing)} |")
     for name, thing in public.items():
-        lines += ["", f"### {titles[name]}", "", "```text", f"{name}{_signature(thing)}", "```", "", _document(thing)]
-        inside = members(thing) if inspect.isclass(thing) else []
+        call = f"greybox.{name}" if inspect.ismodule(thing) else f"{name}{_signature(thing)}"
+        lines += ["", f"### {titles[name]}", "", "```text", call, "```", "", _document(thing)]
+        inside = members(thing)
         if inside:
             lines += ["", "| member | what it does |", "|---|---|"]
         for member, value in inside:

@@ -1,4 +1,4 @@
-"""The gallery (docs/gallery.md): every report from shipped data, and one picture of each by headless Chromium.
+"""The gallery: every report from shipped data, and one picture of each by headless Chromium.
 
     python -m scenarios.studies.gallery --out gallery_out [--only fit,plan] [--pictures docs/images]
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scenarios.flights import ROOT
+from greybox.examples import ROOT
 
 FLIGHTS = ("B2_circle_fast_rep1", "B3_figure8_slow_rep1", "B3_figure8_fast_rep1")
 FIT = (
@@ -52,7 +52,7 @@ PAGES = {
         "--test B3_figure8_fast_rep1.csv.gz --adapt 5 --out learn",
         "learn/report.html", "",
     ),
-    "mpc": Page("scenarios.courses.demo --out mpc", "mpc/report.html", "How near the limits every controller came"),
+    "mpc": Page("mpc_export.mission.demo --out mpc", "mpc/report.html", "How near the limits every controller came"),
 }  # fmt: skip
 
 

@@ -20,26 +20,26 @@ from typing import Any, ClassVar
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
+from greybox.excitation.circle import Circle
+from greybox.excitation.figure_eight import FigureEight
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.lemniscate import Lemniscate
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.plants import effects
+from greybox.plants.effects.base import Body, PlantEffect
+from greybox.plants.flight_log import Reference, fly, member
+from greybox.plants.presets import controller_for, nano
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vectors import Number, Vector, norm
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import save_model
 from greybox.residual.learn import Learned, learn
 from greybox.validation.result import Validation
 from greybox.validation.validate import validate
-from scenarios.excitation.circle import Circle
-from scenarios.excitation.figure_eight import FigureEight
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.lemniscate import Lemniscate
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants import effects
-from scenarios.plants.effects.base import Body, PlantEffect
-from scenarios.plants.flight_log import Reference, fly, member
-from scenarios.plants.presets import controller_for, nano
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vectors import Number, Vector, norm
-from scenarios.plants.vehicle_file import write_vehicle
 
 KNOWN = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}

@@ -9,7 +9,7 @@ adapted on the first 5 s, which are not scored. Errors are the root mean square 
 every origin h samples ahead, and of the free run from the fifth second on; persistence holds the last value. One line of
 this study is, on the command line,
 
-    greybox linear --vehicle scenarios/flights/nanobench/vehicle.toml --rate 100 --adapt 5 --siso --delay auto \
+    greybox linear --vehicle greybox/examples/nanobench/vehicle.toml --rate 100 --adapt 5 --siso --delay auto \
       --inputs 'roll=-u1-u2+u3+u4,pitch=-u1+u2+u3-u4,yaw=-u1+u2-u3+u4' --outputs p,q,r --train <nine> --test <five>
 """
 
@@ -27,11 +27,11 @@ from greybox.estimation.linear.fit import LinearFit, Options, Settings, fit_line
 from greybox.estimation.linear.logs import Logs, parse_channels, read_records
 from greybox.estimation.linear.prediction import adapt, k_step, simulate
 from greybox.estimation.linear.records import Record, delayed
+from greybox.examples import flight_paths, nanobench_split, vehicle_path
 from greybox.files import write_json
 from greybox.model.matrices import spectral_radius
 from greybox.model.vehicle import read_vehicle
 from greybox.symbolic import FloatArray
-from scenarios.flights import flight_paths, nanobench_split, vehicle_path
 
 MIXES = "roll=-u1-u2+u3+u4,pitch=-u1+u2+u3-u4,yaw=-u1+u2-u3+u4"
 INPUTS = {"siso": MIXES, "mimo": "u1,u2,u3,u4"}

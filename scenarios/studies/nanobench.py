@@ -22,11 +22,11 @@ from greybox.data import Dataset
 from greybox.data.logs import read_logs
 from greybox.estimation.fit import Fit, fit
 from greybox.estimation.record import sample_time
+from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from greybox.files import write_json
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.validation.validate import validate
-from scenarios.flights import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 
 EFFECTS = (
     "motor_lag", "command_delay", "battery_sag", "rotor_drag", "blade_flapping", "rotational_damping",

@@ -36,6 +36,7 @@ from scipy.signal import lfilter, savgol_filter
 
 from greybox.data import Dataset, Flight
 from greybox.data.logs import read_logs
+from greybox.examples import NANOBENCH_TEST, flight_paths, vehicle_path
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import read_vehicle
@@ -44,7 +45,6 @@ from greybox.validation.groups import GROUPS
 from greybox.validation.horizon import HorizonAccumulator
 from greybox.validation.horizon_table import HorizonTable
 from greybox.validation.validate import validate
-from scenarios.flights import NANOBENCH_TEST, flight_paths, vehicle_path
 
 DT = 0.01
 STEPS = 50

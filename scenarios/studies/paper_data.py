@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.data.segment import Segment
-from greybox.frames import numeric
-from scenarios.excitation import (
+from greybox.excitation import (
     Doublets,
     Excitation,
     Hover,
@@ -31,10 +30,11 @@ from scenarios.excitation import (
     Total,
     Windowed,
 )
-from scenarios.plants.flight_log import CLEAN, TRUTH, Log, fly
-from scenarios.plants.noise import ProcessNoise, SensorNoise, axes
-from scenarios.plants.presets import CALM, DUCKIEDRONE, EVERYDAY, MEMS, controller_for, duckiedrone
-from scenarios.plants.quadrotor import Quadrotor
+from greybox.frames import numeric
+from greybox.plants.flight_log import CLEAN, TRUTH, Log, fly
+from greybox.plants.noise import ProcessNoise, SensorNoise, axes
+from greybox.plants.presets import CALM, DUCKIEDRONE, EVERYDAY, MEMS, controller_for, duckiedrone
+from greybox.plants.quadrotor import Quadrotor
 
 Array = NDArray[np.float64]
 

@@ -27,9 +27,9 @@ from greybox.estimation.linear.records import Record
 from greybox.model.linear import LinearModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle, read_vehicle
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.narx import search_narx
 from greybox.symbolic import Layout, Signal
-from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies.paper_data import COMMANDS, DT, EULER, OUTPUTS, POSITION, TRAIN, VALIDATION, PaperData, plant
 
 Array = NDArray[np.float64]

@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.excitation.signal import Array
-from scenarios.excitation.trajectory import Trajectory
-from scenarios.plants import effects as plant_effects
-from scenarios.plants.controller import Gains
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import DEFAULT, controller_for, x250
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.excitation.signal import Array
+from greybox.excitation.trajectory import Trajectory
+from greybox.plants import effects as plant_effects
+from greybox.plants.controller import Gains
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import DEFAULT, controller_for, x250
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 WANTED = ("motor_lag", "rotor_drag", "rotational_damping")
 DT = 0.01

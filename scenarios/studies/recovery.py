@@ -22,13 +22,13 @@ import numpy as np
 import scipy.stats
 
 from greybox.cores import cores
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants import effects as plant_effects
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for, nano
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
+from greybox.plants import effects as plant_effects
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import controller_for, nano
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 EFFECTS = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
 BATCH = 50

@@ -22,6 +22,7 @@ from greybox.data import Dataset
 from greybox.data.logs import read_logs
 from greybox.estimation.linear.fit import fit_linear
 from greybox.estimation.linear.records import Record
+from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from greybox.files import write_json
 from greybox.model.linear import LinearModel
 from greybox.model.vehicle import read_vehicle
@@ -32,7 +33,6 @@ from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import stratified
 from greybox.residual.train import train_gp
 from greybox.symbolic import FloatArray, Layout, Signal
-from scenarios.flights import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from scenarios.studies.paper_data import COMMANDS, DT, OUTPUTS, TEST, TRAIN, paper_data
 from scenarios.studies.paper_methods import Bench
 

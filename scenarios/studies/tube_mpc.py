@@ -46,18 +46,18 @@ from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.controller import Setpoint
+from greybox.plants.presets import controller_for
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import load_model, save_model
 from greybox.residual.learn import learn
 from greybox.residual.noise_levels import refit_noise
 from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE
+from mpc_export.mission.craft import vehicle
+from mpc_export.mission.demo import EFFECTS, ERRORS, HELD, SIGMA, training_log
 from mpc_export.mission.flight import CRASH, REACH, tracking_cost
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem, Weights
-from scenarios.courses import vehicle
-from scenarios.courses.demo import EFFECTS, ERRORS, HELD, SIGMA, training_log
-from scenarios.plants.controller import Setpoint
-from scenarios.plants.presets import controller_for
-from scenarios.plants.vehicle_file import write_vehicle
 from scenarios.studies.rows import read_rows, wilson
 
 Array = NDArray[np.float64]

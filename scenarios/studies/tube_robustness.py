@@ -28,14 +28,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.files import append_json_line
+from greybox.plants.effects.base import Hub, PlantEffect
+from greybox.plants.quadrotor import Quadrotor
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.mission import JUDGING_SEEDS, OBSTACLE_COURSE
+from mpc_export.mission.craft import vehicle
 from mpc_export.mission.flight import Mission, controller, mission, tightened
 from mpc_export.tube.controller import TubeController
-from scenarios.courses import vehicle
-from scenarios.plants.effects.base import Hub, PlantEffect
-from scenarios.plants.quadrotor import Quadrotor
 from scenarios.studies.rows import read_rows
 
 KAPPA = 1.5
@@ -283,7 +283,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     if options.model is None:
         # imported here: identification needs what training a Gaussian process needs
-        from scenarios.courses.demo import identify
+        from mpc_export.mission.demo import identify
 
         options.model = identify(options.out / "models").get("hybrid", options.out / "models" / "pem.json")
     model = load_model(options.model)

@@ -8,9 +8,9 @@ from collections import defaultdict
 from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
-BESIDE = ("statistics", "automatic", "simulators", "report")
+BESIDE = ("statistics", "plants", "excitation", "examples", "automatic", "simulators", "report")
 """Rooms that are no step on the way of the data: below all of them, beside the fit, and behind all of them."""
-SCENARIOS = ("plants", "excitation", "courses", "flights", "foreign")
+SCENARIOS = ("plants", "foreign")
 
 
 def package_of(module: str) -> str | None:

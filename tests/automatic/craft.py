@@ -12,14 +12,14 @@ import numpy as np
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.data.raw import RawLog
+from greybox.excitation.hover import Hover
+from greybox.excitation.injection import rich_excitation
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.excitation.hover import Hover
-from scenarios.excitation.injection import rich_excitation
-from scenarios.plants import effects as plant_effects
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for, nano
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants import effects as plant_effects
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import controller_for, nano
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 RATES = ("p", "q", "r")
 POSE = ("qw", "qx", "qy", "qz", "x", "y", "z")

@@ -10,8 +10,8 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
-from scenarios.plants.flight_log import write_log
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.flight_log import write_log
+from greybox.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import flown, plant
 
 COLUMNS = ("t", "u1", "u2", "u3", "u4", "qw", "qx", "qy", "qz", "p", "q", "r")

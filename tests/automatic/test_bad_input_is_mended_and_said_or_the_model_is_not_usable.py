@@ -15,8 +15,8 @@ from greybox.data.raw import RawLog
 from greybox.estimation.result import Fit
 from greybox.model.vehicle import Vehicle
 from greybox.model.verdict import Outcome
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.validation.sanity import sanity_of
-from scenarios.plants.vehicle_file import write_vehicle
 from tests.automatic.craft import IMU, POSE, RATES, flown, plant, raw, vehicle
 
 TRUE = {n: float(v) for n, v in plant().truth()["parameters"].items()}

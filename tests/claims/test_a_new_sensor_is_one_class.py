@@ -16,15 +16,15 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
 from greybox.estimation.record import make_record
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.frames import numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import PhysicsModel
 from greybox.model.vehicle import Vehicle
+from greybox.plants.flight_log import fly
+from greybox.plants.presets import controller_for
 from greybox.validation.whiteness import whiteness
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly
-from scenarios.plants.presets import controller_for
 from scenarios.studies.recovery import plant
 from tests.claims.own_sensors import FIELD, Barometer, Magnetometer
 from tests.simulated import truth, vehicle

@@ -9,14 +9,14 @@ import pytest
 import scipy.stats
 
 from greybox import build_model, dataset_from_arrays, fit
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import read_vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.effects import CATALOGUE
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.presets import controller_for
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.effects import CATALOGUE
+from greybox.plants.flight_log import fly, member
+from greybox.plants.presets import controller_for
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import EFFECTS, plant
 
 PLANTS = {e.name: e for e in CATALOGUE}

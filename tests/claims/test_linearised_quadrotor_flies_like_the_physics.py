@@ -7,11 +7,11 @@ import pytest
 from greybox.estimation.linear.prediction import simulate
 from greybox.estimation.linear.records import Record
 from greybox.estimation.linear.structured import fit_structured
+from greybox.examples import vehicle_path
 from greybox.model.linearise import linearise, structured_from, trim
 from greybox.model.model import build_model
 from greybox.model.parameter import nominal_values
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import vehicle_path
 
 DT = 0.01
 COLUMNS = ("qw", "qx", "qy", "qz", "p", "q", "r", "vx", "vy", "vz", "ax", "ay", "az")

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from greybox import build_model, dataset_from_arrays, fit
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly
-from scenarios.plants.presets import controller_for
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
+from greybox.plants.flight_log import fly
+from greybox.plants.presets import controller_for
 from scenarios.studies.recovery import plant
 from tests.simulated import truth, vehicle
 

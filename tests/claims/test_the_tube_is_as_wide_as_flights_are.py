@@ -10,10 +10,10 @@ import pytest
 from greybox.estimation.fit import fit
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.noise_levels import refit_noise
 from mpc_export.mission import TRAINING_SEEDS
-from scenarios.courses import vehicle
-from scenarios.plants.vehicle_file import write_vehicle
+from mpc_export.mission.craft import vehicle
 from scenarios.studies import tube_coverage, tube_mpc
 
 FLIGHTS = 8

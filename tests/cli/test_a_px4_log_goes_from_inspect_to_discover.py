@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
-from scenarios.excitation.figure_eight import FigureEight
-from scenarios.plants.presets import X250, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.excitation.figure_eight import FigureEight
+from greybox.plants.presets import X250, x250
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.discovery_cells import ERRORS, SIGMA, effect_of, logs
 from tests.data.readers.writers import write_ulog
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
-from scenarios.excitation.hover import Hover
-from scenarios.excitation.injection import rich_excitation
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.excitation.hover import Hover
+from greybox.excitation.injection import rich_excitation
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
 
 

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from greybox.cli import main
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/check.json").read_text())
 NANO = ("--vehicle", str(vehicle_path("nanobench")), str(flight_path("nanobench", "B2_circle_fast_rep1")))

@@ -15,14 +15,14 @@ import greybox.discovery.cause
 import greybox.discovery.workflow
 from greybox.cli import main
 from greybox.commands.discover import set_aside
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.effects import RotationalDamping
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.effects import RotationalDamping
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
 from tests.friction import FRICTION
 from tests.one_run import results_of_one_run
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 from tests.estimation.test_frequency_responses_of_flights import linear_model
 from tests.one_run import results_of_one_run
 from tests.statistics.test_frequency_responses_have_honest_bands import DT, flown
@@ -45,9 +45,9 @@ def test_a_real_flight_gives_gain_and_lag(tmp_path: Path, capsys: pytest.Capture
     content = json.loads((tmp_path / "frf.json").read_text())
     jsonschema.validate(content, SCHEMA)
     form = content["pairs"][0]["form"]
-    # The rotors of this craft take some 70 ms (scenarios/flights/arpl_crazyflie/README.md).
+    # The rotors of this craft take some 70 ms (greybox/examples/arpl_crazyflie/README.md).
     assert abs(form["lag"] - 0.07) < 0.03 and form["gain"] > 500
-    rows = list(csv.DictReader((tmp_path / "frf.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "frf.csv").read_text().splitlines()))
     assert len(rows) == len(content["frequency"]) and float(rows[3]["coherence"]) <= 1
     page = (tmp_path / "report.html").read_text()
     assert page.count("<svg") == 1 and "p over roll" in page

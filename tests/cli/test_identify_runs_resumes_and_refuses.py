@@ -24,15 +24,15 @@ from greybox.commands.chain.choice import MARGIN, better
 from greybox.commands.chain.left import TRUST, in_words, seconds_left, typical
 from greybox.commands.chain.record import FILE, StageRecord
 from greybox.commands.chain.stages import STAGES
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.files import read_json, write_json
 from greybox.model.verdict import GroupSkill, Outcome, Verdict
+from greybox.plants.effects import MotorLag
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.files import load_model, save_model
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.effects import MotorLag
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for, x250
-from scenarios.plants.vehicle_file import write_vehicle
 from tests.data.readers import writers as w
 
 FIT = "stage 3 of 8: fit, "

@@ -13,7 +13,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.logs import read_log, read_table
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 from tests.data.readers import writers as w
 
 VEHICLE = str(vehicle_path("nanobench"))

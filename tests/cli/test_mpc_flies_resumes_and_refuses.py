@@ -92,7 +92,7 @@ def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models,
 
     monkeypatch.setattr(campaign.Hangar, "fly", stopped)
     command = ["mpc", str(models / "model.json"), *COURSE, "--flights", "2", "--level", "0.4", "--out", str(tmp_path)]
-    assert main([*command, "--plant", "scenarios.plants.presets:nano"]) == 130
+    assert main([*command, "--plant", "greybox.plants.presets:nano"]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert [r["controller"] for r in rows(tmp_path)] == ["mean", "tube"]
     content = json.loads((tmp_path / "mpc.json").read_text())
@@ -114,12 +114,12 @@ BAD = {
     "pace": ("model.json", ["--pace", "nan"], "--pace"),
     "jobs": ("model.json", ["--jobs", "0"], "--jobs"),
     "no such module": ("model.json", ["--plant", "nowhere:plant"], "nowhere"),
-    "no such attribute": ("model.json", ["--plant", "scenarios.courses:nothing"], "nothing"),
-    "no attribute": ("model.json", ["--plant", "scenarios.courses"], "module:attribute"),
+    "no such attribute": ("model.json", ["--plant", "mpc_export.mission.craft:nothing"], "nothing"),
+    "no attribute": ("model.json", ["--plant", "mpc_export.mission"], "module:attribute"),
     "not a plant": ("model.json", ["--plant", "tests.cli.short_course:Nothing"], "reset"),
     "a plant that cannot be placed": ("model.json", ["--plant", "tests.cli.short_course:Blind"], "position"),
     "not a course": ("model.json", ["--course", "tests.cli.short_course:NOT_A_COURSE"], "Course"),
-    "a log beside a plant": ("model.json", ["--plant", "scenarios.courses:vehicle", "--log", "a.csv"], "--log"),
+    "a log beside a plant": ("model.json", ["--plant", "mpc_export.mission.craft:vehicle", "--log", "a.csv"], "--log"),
     "no such log": ("model.json", ["--log", "nowhere.csv"], "nowhere.csv"),
 }
 

@@ -10,13 +10,13 @@ import jsonschema
 import pytest
 
 from greybox.cli import main
+from greybox.excitation.hover import Hover
+from greybox.excitation.injection import rich_excitation
 from greybox.model.effects_file import load_effects
 from greybox.model.identified import IdentifiedModel
-from scenarios.excitation.hover import Hover
-from scenarios.excitation.injection import rich_excitation
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
 from tests.friction import FRICTION
 from tests.one_run import results_of_one_run

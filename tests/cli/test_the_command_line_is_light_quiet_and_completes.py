@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from greybox.cli import COMMANDS, main
-from scenarios.flights import flight_paths, vehicle_path
+from greybox.examples import flight_paths, vehicle_path
 
 HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "control", "torch", "gpytorch", "greybox.data", "greybox.model")
 

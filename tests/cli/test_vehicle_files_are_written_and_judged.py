@@ -16,11 +16,11 @@ from greybox.cli import main
 from greybox.commands import vehicle as command
 from greybox.commands.vehicle_lines import vehicle_lines
 from greybox.errors import GreyboxError
+from greybox.examples import vehicle_path
 from greybox.files import dump_json
 from greybox.model.plausibility import check_vehicle, vehicle_findings
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
 from greybox.model.vehicle_template import TEMPLATES, template_text, vehicle_text
-from scenarios.flights import vehicle_path
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/vehicle_check.json").read_text())
 

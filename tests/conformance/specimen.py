@@ -14,10 +14,10 @@ from greybox.model.effects import CATALOGUE
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.plants.airframe import Rotor
-from scenarios.plants.presets import X250
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.airframe import Rotor
+from greybox.plants.presets import X250
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 DT = 0.01
 

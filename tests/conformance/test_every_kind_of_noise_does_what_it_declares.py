@@ -30,9 +30,9 @@ from greybox.model.noise import (
     without_parts,
 )
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.presets import x250
+from greybox.plants.vehicle_file import write_vehicle
 from greybox.symbolic import Layout, Signal
-from scenarios.plants.presets import x250
-from scenarios.plants.vehicle_file import write_vehicle
 
 DT = 0.01
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz", "x", "y", "z")

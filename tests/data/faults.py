@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data import RawLog, read_table
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.flights import flight_path, vehicle_path
 
 
 @functools.cache

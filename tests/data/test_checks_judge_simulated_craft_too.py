@@ -10,12 +10,12 @@ from faults import conjugated, exchanged, late
 from greybox.data import read_table
 from greybox.data.checks import check, ranges
 from greybox.data.checks.view import View
+from greybox.excitation import FigureEight, rich_excitation
 from greybox.model.vehicle import read_vehicle
-from scenarios.excitation import FigureEight, rich_excitation
-from scenarios.plants.effects import MotorLag
-from scenarios.plants.flight_log import fly, write_log
-from scenarios.plants.presets import controller_for, duckiedrone, nano, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.effects import MotorLag
+from greybox.plants.flight_log import fly, write_log
+from greybox.plants.presets import controller_for, duckiedrone, nano, x250
+from greybox.plants.vehicle_file import write_vehicle
 
 CRAFT = {"nano": nano, "x250": x250, "duckiedrone": duckiedrone}
 

@@ -11,8 +11,8 @@ from greybox.cli import main
 from greybox.data.column_guess import guess_columns, guess_time, mapping_text
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_log
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import flight_path, vehicle_path
 
 
 @pytest.mark.parametrize(("kind", "name"), [("arpl_crazyflie", "log16"), ("nanobench", "B2_circle_slow_rep1")])

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from greybox.data import RawLog, read_log
 from greybox.data.conditioning import condition
 from greybox.errors import DataError
+from greybox.examples import flight_path, flight_paths, vehicle_path
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import flight_path, flight_paths, vehicle_path
 
 # First and last time [s] above 0.3 m, as the authors' positions give them.
 ABOVE = {

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from greybox.data import read_table
 from greybox.data.logs.csv import read_csv
 from greybox.errors import DataError
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import flight_path, vehicle_path
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
 CELL = st.one_of(FINITE, st.just(float("nan")))

@@ -24,7 +24,7 @@ from faults import (
 from greybox.data import Dataset, read_log
 from greybox.data.checks import CHECKS, check, check_logs
 from greybox.errors import DataError
-from scenarios.flights import SETS, flight_path, flight_paths
+from greybox.examples import SETS, flight_path, flight_paths
 
 STAR, CIRCLE = ("nanobench", "B8_star_fast_rep2"), ("nanobench", "B2_circle_medium_rep1")
 IMU = ("arpl_crazyflie", "log15")

@@ -12,9 +12,9 @@ from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
 from greybox.model.effects import CATALOGUE
 from greybox.model.vehicle import Vehicle
-from scenarios.plants.effects import PlantEffect, RotationalDamping
-from scenarios.plants.presets import x250
-from scenarios.plants.quadrotor import Quadrotor
+from greybox.plants.effects import PlantEffect, RotationalDamping
+from greybox.plants.presets import x250
+from greybox.plants.quadrotor import Quadrotor
 from scenarios.studies import discovery_grid
 
 SHORT = ("gyro_bias", "rotational_damping", "center_of_mass_offset", "parasitic_drag")

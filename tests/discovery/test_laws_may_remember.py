@@ -13,10 +13,10 @@ from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
+from greybox.plants.presets import x250
 from greybox.residual.laws.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.residual.laws.terms import Memory, Term
 from scenarios.plants.outside import RelaxingDrag, SloshingMass
-from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights
 from tests.discovery.small_world import shorten, vehicle
 

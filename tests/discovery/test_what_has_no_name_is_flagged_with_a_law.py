@@ -10,8 +10,8 @@ import pytest
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
+from greybox.plants.presets import x250
 from scenarios.plants.outside import Magnet
-from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights
 from tests.discovery.small_world import shorten, vehicle
 from tests.discovery.test_discover_names_what_is_hidden import valid

@@ -27,7 +27,13 @@ from greybox.model.vehicle import Vehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 LANGUAGES = ("python", "console", "toml", "json", "c", "text")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def name_of(page: Path) -> str:
+    """Where a page stands in the repository, "docs/fit.md"."""
+    return page.relative_to(ROOT).as_posix()
+
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 

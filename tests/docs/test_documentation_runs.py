@@ -17,6 +17,7 @@ from tests.docs.pages import (
     blocks,
     commands_and_output,
     first_missing,
+    name_of,
     run_console,
     run_page,
     same_line,
@@ -27,7 +28,7 @@ def _has_code(page: Path) -> bool:
     return any(b.language not in ("text", "") for b in blocks(page.read_text()))
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if _has_code(p)], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [p for p in PAGES if _has_code(p)], ids=name_of)
 def test_every_block_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_page(page, tmp_path) > 0
@@ -53,7 +54,7 @@ def shown_commands(page: str) -> list[str]:
     return [p for p in parts if p.startswith("greybox ") and "[" not in p]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_that_are_only_shown_are_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     parser = build_parser()
     wrong = []
@@ -70,7 +71,7 @@ def _anchors(text: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_link_leads_somewhere(page: Path) -> None:
     broken = []
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
@@ -85,7 +86,8 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 def test_every_page_is_in_the_index() -> None:
     index = (ROOT / "docs" / "README.md").read_text()
-    absent = [p.name for p in PAGES if p.parent.name == "docs" and p.name != "README.md" and f"({p.name})" not in index]
+    docs = [p.relative_to(ROOT / "docs").as_posix() for p in PAGES if ROOT / "docs" in p.parents]
+    absent = [name for name in docs if name != "README.md" and f"({name})" not in index]
     assert not absent
 
 

@@ -37,7 +37,7 @@ def test_every_public_name_and_member_has_a_docstring() -> None:
     for name in greybox.__all__:
         thing = getattr(greybox, name)
         bare += [name] if not inspect.getdoc(thing) else []
-        for member, value in members(thing) if inspect.isclass(thing) else []:
+        for member, value in members(thing):
             function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
             bare += [f"{name}.{member}"] if not inspect.getdoc(function) else []
     assert not bare

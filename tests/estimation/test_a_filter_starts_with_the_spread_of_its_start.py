@@ -16,14 +16,14 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.kalman import Kalman
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.settling import FIRST, stretches
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.parameter import Parameter
+from greybox.plants.flight_log import fly, member
+from greybox.plants.noise import ProcessNoise
+from greybox.plants.presets import controller_for, nano
 from greybox.symbolic import Layout, Signal
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly, member
-from scenarios.plants.noise import ProcessNoise
-from scenarios.plants.presets import controller_for, nano
 from tests.simulated import vehicle
 
 DT = 0.05

@@ -16,13 +16,13 @@ from greybox.estimation.lost_commands import LOST, Pushes, lost_commands
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
 from greybox.estimation.record import lost_bits, make_records
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly
-from scenarios.plants.presets import controller_for, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.flight_log import fly
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
 
 SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
 

@@ -11,10 +11,10 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
+from greybox.examples import vehicle_path
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import vehicle_path
 
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz", "p", "q", "r")
 

@@ -19,9 +19,9 @@ from greybox.model.model import PhysicsModel
 from greybox.model.noise import with_disturbance
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
-from scenarios.plants.presets import X250
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.presets import X250
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 DT = 0.01
 N = 25

@@ -23,7 +23,7 @@ from greybox.estimation.solvers import SOLVERS
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.model import build_model
 from greybox.model.vehicle import EXACT_SCHEMA, Vehicle, read_vehicle
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.vehicle_file import write_vehicle
 from tests.simulated import flights, plant
 
 EFFECTS = ("motor_lag", "products_of_inertia")

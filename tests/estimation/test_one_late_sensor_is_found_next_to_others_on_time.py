@@ -6,14 +6,14 @@ import pytest
 
 from greybox.data import dataset_from_arrays
 from greybox.estimation.fit import fit
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.model import build_model
 from greybox.model.noise import Augmented, Delay
 from greybox.model.vehicle import read_vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants.flight_log import fly
-from scenarios.plants.presets import controller_for, x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.flight_log import fly
+from greybox.plants.presets import controller_for, x250
+from greybox.plants.vehicle_file import write_vehicle
 
 DT, LATE = 0.01, 0.006
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")

@@ -15,9 +15,9 @@ from greybox.estimation.gain import Linearisation, linearisation_at
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import read_vehicle
-from scenarios.plants.presets import X250
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.presets import X250
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler here")

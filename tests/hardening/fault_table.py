@@ -18,9 +18,9 @@ from pathlib import Path
 from greybox.data import RawLog, read_table
 from greybox.data.checks import check
 from greybox.errors import GreyboxError
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.plausibility import check_vehicle
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.flights import flight_path, vehicle_path
 from tests.hardening.channel_faults import CHANNEL_FAULTS, have
 from tests.hardening.vehicle_faults import VEHICLE_FAULTS
 

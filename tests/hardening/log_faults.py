@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from scenarios.flights import flight_path
+from greybox.examples import flight_path
 
 SET, FLIGHT = "nanobench", "B2_circle_medium_rep1"
 GYRO, ACC = "imu_gyro_x imu_gyro_y imu_gyro_z", "imu_acc_x imu_acc_y imu_acc_z"

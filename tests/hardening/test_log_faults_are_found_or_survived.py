@@ -14,8 +14,8 @@ import pytest
 from greybox.cli import main
 from greybox.data import read_log
 from greybox.data.checks import check_logs
+from greybox.examples import vehicle_path
 from greybox.model.vehicle import read_vehicle
-from scenarios.flights import vehicle_path
 from tests.hardening.log_faults import FAULTS, SET, flight
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "hardening.md"

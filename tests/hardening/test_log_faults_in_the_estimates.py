@@ -18,7 +18,7 @@ import pytest
 import greybox as gb
 from greybox.estimation.fit import noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
-from scenarios.flights import vehicle_path
+from greybox.examples import vehicle_path
 from tests.hardening.log_faults import FAULTS, SET, flight
 from tests.hardening.test_log_faults_are_found_or_survived import SURVIVED, WARNED
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 
 ARPL = "arpl_crazyflie"
 LOG = str(flight_path(ARPL, "log15"))

@@ -11,12 +11,12 @@ import pytest
 from greybox.cli import _PlainText, main
 from greybox.data.logs.table import flight_name
 from greybox.errors import VehicleError, printable
+from greybox.examples import vehicle_path
 from greybox.model.vehicle import read_vehicle
 from mpc_export import verify
 from mpc_export.bundle import write_bundle
 from mpc_export.c_model import _comment
 from mpc_export.readme import plain
-from scenarios.flights import vehicle_path
 from tests.mpc_export import cases, compiled
 
 EVIL = (

@@ -70,7 +70,7 @@ def test_no_code_reads_a_docstring() -> None:
 
 @pytest.mark.slow
 def test_a_fit_is_the_same_number_by_number(tmp_path: Path) -> None:
-    from scenarios.flights import flight_path, vehicle_path
+    from greybox.examples import flight_path, vehicle_path
 
     arpl = "arpl_crazyflie"
     fit = ["-m", "greybox", "fit", "--manual", "--vehicle", str(vehicle_path(arpl))]

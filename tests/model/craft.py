@@ -12,10 +12,10 @@ import numpy as np
 from greybox.model.model import PhysicsModel
 from greybox.model.sensors import SENSORS
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.plants.airframe import Airframe, Rotor
-from scenarios.plants.presets import DUCKIEDRONE, X250
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.airframe import Airframe, Rotor
+from greybox.plants.presets import DUCKIEDRONE, X250
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 
 CROOKED = replace(
     X250,

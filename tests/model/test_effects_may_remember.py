@@ -14,9 +14,9 @@ from greybox.errors import ModelError
 from greybox.model.effect import Effect, Remembered
 from greybox.model.effect_check import check_effect
 from greybox.model.model import PhysicsModel, build_model
+from greybox.plants.presets import x250
 from greybox.validation.gap import foresee
 from scenarios.plants.outside import RelaxingDrag
-from scenarios.plants.presets import x250
 from scenarios.studies.discovery_outside import flights
 from tests.conformance.remembering import Wake
 

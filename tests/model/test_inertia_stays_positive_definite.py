@@ -11,7 +11,7 @@ import pytest
 from craft import CROOKED, vehicle_of
 
 from greybox.model.effects.products_of_inertia import ProductsOfInertia
-from scenarios.plants.presets import DUCKIEDRONE, X250
+from greybox.plants.presets import DUCKIEDRONE, X250
 
 EFFECT = ProductsOfInertia()
 LONG = ((2e-3, 9e-4, 0.0), (9e-4, 1.2e-3, -2e-4), (0.0, -2e-4, 2.6e-3))

@@ -13,9 +13,9 @@ import pytest
 from craft import CROOKED, flat, function, model_of, state, vector
 
 from greybox.model.effects import CATALOGUE
-from scenarios.plants.battery import Battery
-from scenarios.plants.effects import CATALOGUE as PLANT_CATALOGUE
-from scenarios.plants.quadrotor import Quadrotor
+from greybox.plants.battery import Battery
+from greybox.plants.effects import CATALOGUE as PLANT_CATALOGUE
+from greybox.plants.quadrotor import Quadrotor
 
 DT = 0.005
 N = 200

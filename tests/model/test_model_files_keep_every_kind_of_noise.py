@@ -28,8 +28,8 @@ from greybox.model.noise import (
 )
 from greybox.model.parameter import ParameterValues
 from greybox.model.vehicle import read_vehicle
-from scenarios.plants.presets import x250
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants.presets import x250
+from greybox.plants.vehicle_file import write_vehicle
 
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")
 

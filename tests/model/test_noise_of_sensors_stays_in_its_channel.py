@@ -13,9 +13,9 @@ from greybox.model.layer import physics_of
 from greybox.model.model import build_model
 from greybox.model.noise import Augmented, Coloured, Drift, Line, LowPass, with_white_sensors
 from greybox.model.vehicle import read_vehicle
-from scenarios.plants.presets import x250
+from greybox.plants.presets import x250
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.plants.sensor_faults import low_passed
-from scenarios.plants.vehicle_file import write_vehicle
 
 DT = 0.01
 COLUMNS = ("p", "q", "r", "ax", "ay", "az", "qw", "qx", "qy", "qz")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from craft import CROOKED, PLUS, blocks, flat, function, model_of, rotation, sensors, state, vector
 
-from scenarios.plants.presets import NANO, X250
+from greybox.plants.presets import NANO, X250
 
 POSE = sensors("position", "velocity", "attitude", "gyro", "accelerometer")
 FREE = replace(CROOKED, thrust=(0.0, 0.0, 1.0), torque=(0.0, 0.0, 1.0))

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from greybox.errors import GreyboxError, VehicleError
+from greybox.examples import SETS, vehicle_path
 from greybox.model.vehicle import Quantity, Vehicle, read_vehicle
-from scenarios.flights import SETS, vehicle_path
 
 PLAIN = {
     "schema": "greybox.vehicle/1",

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import greybox
-from scenarios.flights import flight_path, vehicle_path
+from greybox.examples import flight_path, vehicle_path
 
 BIN = Path(sys.executable).parent
 SET = "arpl_crazyflie"
@@ -57,6 +57,9 @@ def commands() -> None:
     run("export", "fitted/model.json", "--out", "craft", "--no-cache", "--even-so")
     run("-m", "mpc_export.verify", "craft", program="python")
     run("effects")
+    run("examples")
+    run("examples", SET, "--out", "flights of my own")
+    assert (Path("flights of my own") / "LICENSE").stat().st_size > 100
     run("effects", "--json", "-")
     run("cite", "fitted/model.json")
     run("completion", "bash")
@@ -86,6 +89,8 @@ def formats(writers: Path) -> None:
 
 
 if __name__ == "__main__":
+    if importlib.util.find_spec("scenarios") is not None:
+        sys.exit("an installed greybox brings a package scenarios, which is of the checkout")
     if Path(sys.prefix) not in Path(greybox.__file__).parents:
         sys.exit(f"{greybox.__file__} is not in {sys.prefix}")
     readme(Path(sys.argv[1]))

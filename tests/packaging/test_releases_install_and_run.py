@@ -7,6 +7,7 @@ it is 500 MB, and `make test` has it on Python 3.11.
 
 from __future__ import annotations
 
+import fnmatch
 import functools
 import os
 import re
@@ -23,8 +24,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SMOKE = Path(__file__).with_name("smoke.py")
 WRITERS = ROOT / "tests" / "data" / "readers" / "writers.py"
-PACKAGES = ("greybox", "mpc_export", "scenarios")
+PACKAGES = ("greybox", "mpc_export")
 VERSIONS = ("3.11", "3.12", "3.13")
+LARGEST_WHEEL = 9 * 10**6
+"""Bytes; six of the eight million are example flights."""
 SETTINGS = {
     "lowest": ("whl", ["-c", str(ROOT / "constraints-lowest.txt")]),
     "highest": ("whl", []),
@@ -85,7 +88,12 @@ def test_the_wheel_and_the_sdist_have_every_file_of_the_packages(built: Path) ->
     (wheel,), (sdist,) = built.glob("*.whl"), built.glob("*.tar.gz")
     expected = set(tracked())
     with zipfile.ZipFile(wheel) as archive:
-        assert {n for n in archive.namelist() if ".dist-info/" not in n} == expected
+        names = archive.namelist()
+        assert {n for n in names if ".dist-info/" not in n} == expected
+        assert {n.partition("/")[0] for n in names if ".dist-info/" not in n} == set(PACKAGES)
+        (licence,) = (n for n in names if n.endswith(".dist-info/licenses/LICENSE"))
+        assert archive.read(licence) == (ROOT / "LICENSE").read_bytes()
+    assert wheel.stat().st_size < LARGEST_WHEEL
     with tarfile.open(sdist) as tar:
         assert expected <= {n.partition("/")[2] for n in tar.getnames()}
 
@@ -137,6 +145,21 @@ def test_the_bounds_are_the_versions_that_were_tried() -> None:
         return tuple([*map(int, version.split(".")), 0, 0][:3])
 
     assert {n: whole(v) for n, v in asked.items()} == {n: whole(v) for n, v in pinned.items()}
+
+
+def test_nothing_but_the_packages_is_installed() -> None:
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]["find"]
+    here = [p.parent.name for p in ROOT.glob("*/__init__.py")]
+    assert "scenarios" in here
+    assert {n for n in here if any(fnmatch.fnmatch(n, pattern) for pattern in asked["include"])} == set(PACKAGES)
+
+
+def test_example_flights_are_installed_with_licence_and_provenance() -> None:
+    names = set(tracked())
+    for folder in (ROOT / "greybox" / "examples").iterdir():
+        if folder.is_dir() and folder.name != "__pycache__":
+            for file in ("LICENSE", "README.md", "SHA256SUMS", "vehicle.toml"):
+                assert (folder / file).relative_to(ROOT).as_posix() in names
 
 
 def test_what_is_not_python_is_declared_as_package_data() -> None:

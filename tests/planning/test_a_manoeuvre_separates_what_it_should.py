@@ -11,7 +11,7 @@ from greybox.estimation.fit import Fit, fit
 from greybox.model.model import build_model
 from greybox.planning.experiment import Separation, separating_manoeuvre, separations
 from greybox.planning.manoeuvres import LIBRARY, Manoeuvre, flown
-from scenarios.plants.effects import RotorDrag
+from greybox.plants.effects import RotorDrag
 from tests.discovery import small_world
 
 SHORT = tuple(m for m in LIBRARY if m.name in ("hover", "forward_and_back"))

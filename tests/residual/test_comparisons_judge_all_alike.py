@@ -125,7 +125,7 @@ def test_a_linear_model_does_not_see_the_measurement_that_it_predicts(judged):
 
 
 def test_bad_input_is_one_line(tmp_path, capsys):
-    from scenarios.flights import flight_path, vehicle_path
+    from greybox.examples import flight_path, vehicle_path
 
     log = str(flight_path("nanobench", "B2_circle_fast_rep1"))
     common = ["compare", "--vehicle", str(vehicle_path("nanobench")), "--out", str(tmp_path)]

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from greybox.cli import main
+from greybox.excitation.hover import Hover
+from greybox.excitation.injection import rich_excitation
 from greybox.model.identified import IdentifiedModel
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for
 from greybox.residual.files import save_model
-from scenarios.excitation.hover import Hover
-from scenarios.excitation.injection import rich_excitation
-from scenarios.plants.flight_log import fly, member, write_log
-from scenarios.plants.presets import controller_for
 from scenarios.studies.recovery import plant
 from tests.residual.hybrid_cases import craft, craft_model, hybrid
 

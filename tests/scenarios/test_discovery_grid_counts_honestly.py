@@ -12,8 +12,8 @@ from typing import Any, cast
 import pytest
 
 from greybox.discovery.result import Discovery
-from scenarios.plants.effects import MotorLag, RotorAsymmetry
-from scenarios.plants.presets import X250
+from greybox.plants.effects import MotorLag, RotorAsymmetry
+from greybox.plants.presets import X250
 from scenarios.studies import discovery_grid
 from scenarios.studies.discovery_cells import Cell, cases, scaled
 from scenarios.studies.discovery_summary import confusion, false_names, recall, summary, wilson, write_docs

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from greybox.model.effects import CATALOGUE
+from greybox.plants.effects import PlantEffect
+from greybox.plants.presets import controller_for, x250
 from scenarios.plants import outside
-from scenarios.plants.effects import PlantEffect
-from scenarios.plants.presets import controller_for, x250
 from scenarios.studies import discovery_outside
 from scenarios.studies.discovery_outside import CASES, affected, by_learning, flights, report
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.plants.battery import Battery
+from greybox.plants.noise import SensorNoise
 from scenarios.foreign.craft import Air
-from scenarios.plants.battery import Battery
-from scenarios.plants.noise import SensorNoise
 from tests.foreign_plants import ALL, CRAFT, FOREIGN, FRAME, GRAVITY, HOVER, OFFSET, WINDY, make
 
 COLUMNS = [

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.plants import effects as known
+from greybox.plants.quadrotor import Quadrotor
 from scenarios.foreign.craft import Air
 from scenarios.foreign.hidden import (
     CATALOGUED,
@@ -17,8 +19,6 @@ from scenarios.foreign.hidden import (
 )
 from scenarios.foreign.loads import Instant, Load, Loads
 from scenarios.foreign.naming_cells import scaled
-from scenarios.plants import effects as known
-from scenarios.plants.quadrotor import Quadrotor
 from tests.foreign_plants import CRAFT, FOREIGN, FRAME, HOVER, make
 
 EVERY = [*CATALOGUED, *OUTSIDE]

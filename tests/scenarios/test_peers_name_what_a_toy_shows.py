@@ -7,15 +7,15 @@ import json
 import numpy as np
 import pytest
 
+from greybox.excitation.injection import rich_excitation
+from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.vehicle import read_vehicle
-from scenarios.excitation.injection import rich_excitation
-from scenarios.excitation.waypoints import RandomWaypoints
-from scenarios.plants import effects as hidden
-from scenarios.plants.flight_log import fly, write_log
-from scenarios.plants.noise import SensorNoise
-from scenarios.plants.presets import X250, controller_for
-from scenarios.plants.quadrotor import Quadrotor
-from scenarios.plants.vehicle_file import write_vehicle
+from greybox.plants import effects as hidden
+from greybox.plants.flight_log import fly, write_log
+from greybox.plants.noise import SensorNoise
+from greybox.plants.presets import X250, controller_for
+from greybox.plants.quadrotor import Quadrotor
+from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies import league
 from scenarios.studies.league_terms import CORE, read_columns, regression
 

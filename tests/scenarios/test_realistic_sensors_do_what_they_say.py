@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenarios.plants.noise import SensorNoise
+from greybox.plants.noise import SensorNoise
 from scenarios.plants.realistic_sensors import INGREDIENTS, REALISTIC, realistic
 
 LEVELS = SensorNoise(gyro=0.01, accelerometer=0.1, attitude=0.003, position=0.003, velocity=0.02)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpc_export.mission import OBSTACLE_COURSE
-from scenarios.courses import vehicle
+from mpc_export.mission.craft import vehicle
 from scenarios.studies.tube_robustness import ALL, FAULTS, broken_vehicle, table
 
 CLEAN = dict.fromkeys(ALL, 1.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenarios.excitation import Hover
-from scenarios.plants.flight_log import fly
-from scenarios.plants.presets import controller_for
+from greybox.excitation import Hover
+from greybox.plants.flight_log import fly
+from greybox.plants.presets import controller_for
 from scenarios.studies.paper_data import DT, OUTPUTS, TEST, TRAIN, VALIDATION, paper_data, plant
 
 

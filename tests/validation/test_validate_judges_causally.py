@@ -15,6 +15,7 @@ from greybox.commands import validate as command
 from greybox.data import Dataset, Flight, Segment
 from greybox.errors import DataError, FileFormatError, ModelError
 from greybox.estimation.engine import engine_for
+from greybox.examples import vehicle_path
 from greybox.files import dump_json
 from greybox.model.effects import effect_by_name
 from greybox.model.identified import IdentifiedModel
@@ -25,7 +26,6 @@ from greybox.model.verdict import Outcome
 from greybox.validation.adapt import adapt_to_flight
 from greybox.validation.open_loop import GroupReader, predict_from, started_at_measurement
 from greybox.validation.validate import validate
-from scenarios.flights import vehicle_path
 
 DT = 0.01
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz", "p", "q", "r", "ax", "ay", "az")

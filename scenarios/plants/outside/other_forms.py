@@ -1,6 +1,6 @@
 """Families that the catalogue knows, in another form: other exponents, another dependence, relaxation, hysteresis.
 
-These stand together because each is a line or two of difference from its relative in scenarios.plants.effects.
+These stand together because each is a line or two of difference from its relative in greybox.plants.effects.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.plants.effects.base import Body, Hub, PlantEffect
-from scenarios.plants.vectors import Number, Vector
+from greybox.plants.effects.base import Body, Hub, PlantEffect
+from greybox.plants.vectors import Number, Vector
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from scenarios.plants.effects.base import Body, PlantEffect
-from scenarios.plants.vectors import Number, Vector, apply_transposed
+from greybox.plants.effects.base import Body, PlantEffect
+from greybox.plants.vectors import Number, Vector, apply_transposed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.plants.effects.base import Hub, PlantEffect
-from scenarios.plants.vectors import Number
+from greybox.plants.effects.base import Hub, PlantEffect
+from greybox.plants.vectors import Number
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from scenarios.plants.effects.base import Body, Hub, PlantEffect
-from scenarios.plants.vectors import ZERO, Number, Vector, add, apply, apply_transposed
+from greybox.plants.effects.base import Body, Hub, PlantEffect
+from greybox.plants.vectors import ZERO, Number, Vector, add, apply, apply_transposed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,8 @@ import numpy as np
 
 from greybox.data.logs import read_table
 from greybox.data.raw import RawLog
+from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import Vehicle, read_vehicle
-from scenarios.flights import flight_path, vehicle_path
 
 ROWS = 1500
 GRAVITY = 9.80665

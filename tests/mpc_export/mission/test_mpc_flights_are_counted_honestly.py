@@ -152,7 +152,7 @@ def test_a_slower_course_is_the_same_path_at_a_lower_speed():
 
 
 def test_plants_are_named_by_module_and_attribute():
-    assert load_plant("scenarios.courses:vehicle").rotors == 4
-    for wrong in ("scenarios.courses", "nowhere:plant", "mpc_export.mission:OBSTACLE_COURSE"):
+    assert load_plant("mpc_export.mission.craft:vehicle").rotors == 4
+    for wrong in ("mpc_export.mission", "nowhere:plant", "mpc_export.mission:OBSTACLE_COURSE"):
         with pytest.raises(PlantError):
             load_plant(wrong)

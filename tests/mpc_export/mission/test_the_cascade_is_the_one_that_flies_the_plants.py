@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from greybox.model.vehicle import read_vehicle
+from greybox.plants.controller import CascadeController as PlantController
+from greybox.plants.controller import Setpoint
+from greybox.plants.presets import nano, x250
+from greybox.plants.vehicle_file import write_vehicle
 from mpc_export.mission import OBSTACLE_COURSE
 from mpc_export.mission.cascade import CascadeController
-from scenarios.plants.controller import CascadeController as PlantController
-from scenarios.plants.controller import Setpoint
-from scenarios.plants.presets import nano, x250
-from scenarios.plants.vehicle_file import write_vehicle
 
 
 @pytest.mark.parametrize("make", [nano, x250])

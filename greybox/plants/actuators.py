@@ -1,0 +1,117 @@
+"""From logged commands to rotor speeds: delay, shaping, supply voltage, first-order lag solved exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from greybox.plants.effects.base import PlantEffect, hooks
+from greybox.plants.vectors import Number, exponential, where
+
+_SAME_INSTANT = 1e-9
+
+
+class Actuators:
+    """The rotors of one plant (or of a batch): held commands in, normalised speeds out."""
+
+    def __init__(self, effects: tuple[PlantEffect, ...], rotors: int) -> None:
+        self._shapes = hooks(effects, "command")
+        self._factors = hooks(effects, "rotor_factor")
+        self.delay = float(sum(e.delay() for e in effects))
+        lags = hooks(effects, "lag")
+        if len(lags) > 1:
+            raise ValueError("more than one effect gives the rotors a lag; keep one")
+        self._up: Number = lags[0]() if lags else 0.0
+        self._down = self._up
+        for asymmetry in hooks(effects, "lag_asymmetry"):
+            self._up, self._down = self._up * (1.0 - asymmetry()), self._down * (1.0 + asymmetry())
+        self._instant_up, self._instant_down = self._zero(self._up), self._zero(self._down)
+        positive = [float(v) for tau in (self._up, self._down) for v in np.ravel(tau) if v > 0.0]
+        self.shortest_lag = min(positive, default=0.0)
+        """Shortest time constant above zero [s], or zero."""
+        self._rotors = rotors
+        self._history: list[tuple[float, list[Number]]] = []
+        self.nu: list[Number] = []
+        self.target: list[Number] = []
+
+    @staticmethod
+    def _zero(tau: Number) -> Number:
+        """Whether the time constant is zero, as a bool or an array of bools."""
+        return tau == 0.0
+
+    def reset(self, command: Number) -> None:
+        """All rotors have held `command` for ever."""
+        self._history = [(float("-inf"), [command] * self._rotors)]
+        self.nu = self.target = [command] * self._rotors
+
+    def settle(self, voltage: Number) -> None:
+        """Put the speeds at the steady state of the present command at this voltage [V]."""
+        self.nu = self.target = self.steady(self._history[-1][1], voltage)
+
+    def hold(self, time: float, command: list[Number]) -> None:
+        """From `time` on the flight controller sends `command`."""
+        if self._history[-1][0] > time - _SAME_INSTANT:
+            self._history.pop()
+        self._history.append((time, command))
+        cut = time - self.delay - _SAME_INSTANT
+        while len(self._history) > 1 and self._history[1][0] <= cut:
+            del self._history[0]
+
+    def steady(self, command: list[Number], voltage: Number) -> list[Number]:
+        """Speeds that the rotors settle at under `command` and `voltage` [V]."""
+        factor: Number = 1.0
+        for factor_hook in self._factors:
+            factor = factor * factor_hook(voltage)
+        speeds = []
+        for u in command:
+            for shape in self._shapes:
+                u = shape(u)
+            speeds.append(u * factor)
+        return speeds
+
+    def pieces(self, start: float, length: float) -> Iterator[tuple[float, float, list[Number]]]:
+        """Tiles (start, length, command at the motor) of [start, start + length], split where commands switch."""
+        end = start + length
+        marks = [t + self.delay for t, _ in self._history]
+        inner = [m for m in marks if start + _SAME_INSTANT < m < end - _SAME_INSTANT]
+        edges = [start, *inner, end]
+        for a, b in pairwise(edges):
+            yield a, b - a, self.at(a)
+
+    def at(self, time: float) -> list[Number]:
+        """The command that reaches the motors just after `time`."""
+        present = self._history[0][1]
+        for t, command in self._history:
+            if t + self.delay <= time + _SAME_INSTANT:
+                present = command
+        return present
+
+    def start(self, nu: Number, target: Number) -> Number:
+        """Speed just after the target changed: the target itself where there is no lag."""
+        return where(where(target > nu, self._instant_up, self._instant_down), target, nu)
+
+    def relax(self, nu: list[Number], duration: float) -> list[Number]:
+        """Speeds `duration` [s] later, on their way to the present targets."""
+        if self._up is self._down:
+            left = self._decay(self._up, duration)
+            return [s + (n - s) * left for n, s in zip(nu, self.target)]
+        return [
+            s + (n - s) * self._decay(where(s > n, self._up, self._down), duration) for n, s in zip(nu, self.target)
+        ]
+
+    @staticmethod
+    def _decay(tau: Number, duration: float) -> Number:
+        """Factor by which the distance to the target shrinks in `duration` [s]."""
+        if isinstance(tau, float):
+            return 0.0 if tau == 0.0 else exponential(-duration / tau)
+        instant = tau == 0.0
+        return where(instant, 0.0, exponential(-duration / where(instant, 1.0, tau)))
+
+    def speed_rate(self, nu: Number, target: Number) -> Number:
+        """dnu/dt [1/s]; zero for a rotor without lag."""
+        tau = self._up if self._up is self._down else where(target > nu, self._up, self._down)
+        if isinstance(tau, float):
+            return 0.0 if tau == 0.0 else (target - nu) / tau
+        return where(tau == 0.0, 0.0, (target - nu) / where(tau == 0.0, 1.0, tau))
