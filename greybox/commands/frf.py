@@ -35,32 +35,79 @@ def add(subparsers: Any) -> None:
     p = subparsers.add_parser(
         "frf",
         help="frequency response of flights, with coherence and 95 %% bands",
-        description="Magnitude, phase, coherence and 95 % bands of outputs over inputs, straight from the flights, with gain "
-        "and lag. A channel is a column, a sum of columns ('a=u1+u2'), or with a vehicle a mixed command: roll, pitch, yaw, "
-        "thrust. With --model the model's own response lies over it, and where they part is said. Writes frf.json, frf.csv "
-        "and report.html. Exit code 0: done; 1: no frequency has coherence enough; 2: bad input.",
+        description="Magnitude, phase, coherence and 95 % bands of outputs over inputs, straight from "
+        "the flights, with gain and lag. A channel is a column, a sum of columns ('a=u1+u2'), or with "
+        "a vehicle a mixed command: roll, pitch, yaw, thrust. With --model the model's own response "
+        "lies over it, and where they part is said. Writes frf.json, frf.csv and report.html. Exit "
+        "code 0: done; 1: no frequency has coherence enough; 2: bad input.",
     )
-    p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights; all are averaged")
-    p.add_argument("--vehicle", metavar="V.toml", help="vehicle file: column names, and where the rotors are")
-    p.add_argument("--model", metavar="MODEL.json", help="model file whose response is drawn over that of the flights")
     p.add_argument(
-        "--inputs", type=names, default=(), metavar="roll,pitch", help="all inputs that move at once (default: those of the "
+        "--train", required=True, nargs="+", metavar="LOG", help="flights; all are averaged"
+    )
+    p.add_argument(
+        "--vehicle", metavar="V.toml", help="vehicle file: column names, and where the rotors are"
+    )
+    p.add_argument(
+        "--model",
+        metavar="MODEL.json",
+        help="model file whose response is drawn over that of the flights",
+    )
+    p.add_argument(
+        "--inputs",
+        type=names,
+        default=(),
+        metavar="roll,pitch",
+        help="all inputs that move at once (default: those of the "
         "model; of a vehicle roll,pitch,yaw,thrust)",
-    )  # fmt: skip
-    p.add_argument(
-        "--outputs", type=names, default=(), metavar="p,q", help="outputs (default: those of the model; of a vehicle p,q,r,az)"
     )
     p.add_argument(
-        "--references", type=names, default=(), metavar="sp_x", help="signals that excite a closed loop from outside, at "
+        "--outputs",
+        type=names,
+        default=(),
+        metavar="p,q",
+        help="outputs (default: those of the model; of a vehicle p,q,r,az)",
+    )
+    p.add_argument(
+        "--references",
+        type=names,
+        default=(),
+        metavar="sp_x",
+        help="signals that excite a closed loop from outside, at "
         "least one per input (default: the chirp of a Betaflight log, for one input)",
-    )  # fmt: skip
-    p.add_argument("--band", type=_band, default=None, metavar="LOW,HIGH", help="frequencies [Hz] (default: all)")
-    p.add_argument("--window", type=float, default=None, metavar="S", help="longest window (default: as the flights allow)")
-    p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs (default: rate of the model)")
+    )
+    p.add_argument(
+        "--band",
+        type=_band,
+        default=None,
+        metavar="LOW,HIGH",
+        help="frequencies [Hz] (default: all)",
+    )
+    p.add_argument(
+        "--window",
+        type=float,
+        default=None,
+        metavar="S",
+        help="longest window (default: as the flights allow)",
+    )
+    p.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="resample the logs (default: rate of the model)",
+    )
     flight_log_options(p)
-    p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
+    p.add_argument(
+        "--effects-file",
+        nargs="+",
+        default=[],
+        metavar="E.py",
+        help="effects of your own in the model",
+    )
     p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write frf.json to F ('-': standard output)")
+    p.add_argument(
+        "--json", metavar="F", default=None, help="also write frf.json to F ('-': standard output)"
+    )
     p.set_defaults(run=run)
 
 
@@ -74,9 +121,15 @@ def run(arguments: argparse.Namespace) -> int:
     inputs, outputs = _named(arguments, model, vehicle)
     data, references = _flights(arguments, vehicle, model, inputs, outputs)
     found = frf(
-        data, inputs, outputs, references=references, vehicle=vehicle, model=model, band=arguments.band,
+        data,
+        inputs,
+        outputs,
+        references=references,
+        vehicle=vehicle,
+        model=model,
+        band=arguments.band,
         window=arguments.window,
-    )  # fmt: skip
+    )
     ours = sys.argv[1:2] == ["frf"]
     command = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox frf"
     content = {**found.to_dict(), "command": command}
@@ -105,7 +158,9 @@ def _band(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _subject(arguments: argparse.Namespace) -> tuple[IdentifiedModel | LinearModel | None, Airframe | None]:
+def _subject(
+    arguments: argparse.Namespace,
+) -> tuple[IdentifiedModel | LinearModel | None, Airframe | None]:
     """The model and the vehicle, as far as they are given."""
     from greybox.commands.front_door import load
     from greybox.errors import DataError
@@ -117,43 +172,53 @@ def _subject(arguments: argparse.Namespace) -> tuple[IdentifiedModel | LinearMod
     vehicle: Airframe | None = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     if arguments.model is None:
         return None, vehicle
-    model = load(arguments.model, effects=[e for path in arguments.effects_file for e in load_effects(path)])
+    model = load(
+        arguments.model, effects=[e for path in arguments.effects_file for e in load_effects(path)]
+    )
     if not isinstance(model, IdentifiedModel | LinearModel):
         raise DataError(
-            "a hybrid that predicts channels from their past has no response to inputs alone", where=arguments.model,
+            "a hybrid that predicts channels from their past has no response to inputs alone",
+            where=arguments.model,
             fix="pass the linear model that it was learned on",
-        )  # fmt: skip
+        )
     if isinstance(model, IdentifiedModel) and model.sensors and vehicle is None:
         vehicle = model.physics.vehicle
     return model, vehicle
 
 
 def _named(
-    arguments: argparse.Namespace, model: IdentifiedModel | LinearModel | None, vehicle: Airframe | None
+    arguments: argparse.Namespace,
+    model: IdentifiedModel | LinearModel | None,
+    vehicle: Airframe | None,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Inputs and outputs: those that were named, else those of the vehicle, else those of the model."""
     from greybox.errors import DataError
     from greybox.estimation.frf_channels import mixers
     from greybox.model.linear import LinearModel
 
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = OUTPUTS
     if vehicle is not None:
-        inputs, outputs = tuple(mixers(vehicle)), OUTPUTS
+        inputs = tuple(mixers(vehicle))
         if model is not None and not isinstance(model, LinearModel):
             outputs = tuple(n for n in OUTPUTS if n in model.dynamics.innovations.names)
     elif model is not None:
         dynamics = model if isinstance(model, LinearModel) else model.dynamics
         inputs, outputs = dynamics.inputs.names, dynamics.outputs.names
     elif not (arguments.inputs and arguments.outputs):
-        raise DataError("which inputs and outputs?", fix="--vehicle V.toml, or --inputs u1,u2 --outputs p,q")
-    else:
-        inputs = outputs = ()
+        raise DataError(
+            "which inputs and outputs?", fix="--vehicle V.toml, or --inputs u1,u2 --outputs p,q"
+        )
     return arguments.inputs or inputs, arguments.outputs or outputs
 
 
 def _flights(
-    arguments: argparse.Namespace, vehicle: Airframe | None, model: IdentifiedModel | LinearModel | None,
-    inputs: Sequence[str], outputs: Sequence[str],
-) -> tuple[Dataset, tuple[str, ...]]:  # fmt: skip
+    arguments: argparse.Namespace,
+    vehicle: Airframe | None,
+    model: IdentifiedModel | LinearModel | None,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+) -> tuple[Dataset, tuple[str, ...]]:
     """The flights on one clock, every needed column a channel, and the references."""
     from greybox.data import Dataset
     from greybox.data.conditioning import condition
@@ -163,14 +228,19 @@ def _flights(
     from greybox.model.linear import LinearModel
 
     raws = [
-        read_possible(p, vehicle, mapping=arguments.mapping, keep_impossible=arguments.keep_impossible)
+        read_possible(
+            p, vehicle, mapping=arguments.mapping, keep_impossible=arguments.keep_impossible
+        )
         for p in arguments.train
     ]
     references: tuple[str, ...] = arguments.references
     if not references and all(CHIRP in raw.extra for raw in raws):
         references = (CHIRP,) if len(inputs) == 1 else ()
         if not references:
-            print("the logs have a chirp: with one input at a time (--inputs roll) it is the reference", file=sys.stderr)
+            print(
+                "the logs have a chirp: with one input at a time (--inputs roll) it is the reference",
+                file=sys.stderr,
+            )
     specs: list[ChannelSpec] = []
     for what, given in (("inputs", inputs), ("outputs", outputs), ("references", references)):
         specs += channels(given, vehicle, what) if given or what != "references" else ()
@@ -178,7 +248,13 @@ def _flights(
     if rate is None and model is not None:
         rate = 1 / (model.dt if isinstance(model, LinearModel) else model.sample_time)
     flights = [
-        condition(with_columns(raw, specs, str(path)), vehicle, rate=rate, trim=vehicle is not None, where=str(path))
+        condition(
+            with_columns(raw, specs, str(path)),
+            vehicle,
+            rate=rate,
+            trim=vehicle is not None,
+            where=str(path),
+        )
         for raw, path in zip(raws, arguments.train, strict=True)
     ]
     data = Dataset(flights=tuple(flights))

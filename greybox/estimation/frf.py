@@ -100,9 +100,10 @@ def frf(
     low, high = band or (FEWEST_CYCLES / longest, HIGHEST / dt)
     if not 0 < low < high <= 0.5 / dt:
         raise DataError(
-            f"a band from {low:.3g} to {high:.3g} Hz", expected=f"increasing, above 0, up to {0.5 / dt:.3g} Hz",
+            f"a band from {low:.3g} to {high:.3g} Hz",
+            expected=f"increasing, above 0, up to {0.5 / dt:.3g} Hz",
             fix="--band 0.5,20, or logs of a higher rate",
-        )  # fmt: skip
+        )
     f = frequencies(low, high, longest)
     s = spectra(used, dt, f, longest)
     r = response(s, c.y, c.u, c.z)
@@ -120,27 +121,40 @@ def frf(
         pair = pair_of(r, f, usable[:, i, j], (i, j), (c.outputs[i], c.inputs[j]), form, beside)
         pairs[pair.name] = pair
     return FrequencyResponse(
-        pairs=pairs, frequency=f, averages=s.averages, window=s.window, flights=seconds, sample_time=dt,
-        references=tuple(x.name for x in c.references), model=None if model is None else model.name,
+        pairs=pairs,
+        frequency=f,
+        averages=s.averages,
+        window=s.window,
+        flights=seconds,
+        sample_time=dt,
+        references=tuple(x.name for x in c.references),
+        model=None if model is None else model.name,
         warnings=tuple(_warnings(c, used, r, usable, data, model)),
-    )  # fmt: skip
+    )
 
 
 def _channels(
-    inputs: Sequence[str], outputs: Sequence[str], references: Sequence[str], vehicle: Airframe | None
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    references: Sequence[str],
+    vehicle: Airframe | None,
 ) -> _Channels:
     c = _Channels(
-        inputs=channels(inputs, vehicle, "inputs"), outputs=channels(outputs, vehicle, "outputs"),
+        inputs=channels(inputs, vehicle, "inputs"),
+        outputs=channels(outputs, vehicle, "outputs"),
         references=channels(references, vehicle, "references") if references else (),
-    )  # fmt: skip
+    )
     names = [s.name for s in c.all]
     if both := sorted({n for n in names if names.count(n) > 1}):
-        raise DataError(f"{', '.join(both)} is named as two things", fix="give every channel one part")
+        raise DataError(
+            f"{', '.join(both)} is named as two things", fix="give every channel one part"
+        )
     if c.references and len(c.references) < len(c.inputs):
         raise DataError(
-            f"{len(c.references)} reference(s) for {len(c.inputs)} inputs", expected="at least as many",
+            f"{len(c.references)} reference(s) for {len(c.inputs)} inputs",
+            expected="at least as many",
             fix="name fewer inputs, or more references",
-        )  # fmt: skip
+        )
     return c
 
 
@@ -149,23 +163,35 @@ def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str,
     if not data.flights:
         raise DataError("no flights")
     if len({f.dt for f in data.flights}) > 1:
-        raise DataError("flights with different sample times", fix="resample them: --rate, or read_logs(rate=)")
+        raise DataError(
+            "flights with different sample times", fix="resample them: --rate, or read_logs(rate=)"
+        )
     found: list[FloatArray] = []
     seconds: dict[str, float] = {}
     for flight in data.flights:
         for segment in flight.segments:
             columns = mixed(segment, c.all)
-            whole = [columns[s] for s in runs(np.isfinite(columns).all(axis=1))]
+            known = np.asarray(np.isfinite(columns).all(axis=1))
+            whole = [columns[s] for s in runs(known)]
             found += whole
-            seconds[flight.name] = seconds.get(flight.name, 0.0) + flight.dt * sum(len(x) for x in whole)
-    spread = np.sqrt(np.sum([np.sum((x - x.mean(axis=0)) ** 2, axis=0) for x in found], axis=0)) if found else None
+            seconds[flight.name] = seconds.get(flight.name, 0.0) + flight.dt * sum(
+                len(x) for x in whole
+            )
+    spread = (
+        np.sqrt(np.sum([np.sum((x - x.mean(axis=0)) ** 2, axis=0) for x in found], axis=0))
+        if found
+        else None
+    )
     size = max((np.abs(x).max() for x in found), default=0.0)
     for i, spec in enumerate(c.all):
         if spread is None or not spread[i] > 1e-9 * size:
             raise DataError(
-                f"channel {spec.name} does not move", where=", ".join(data.names),
-                fix="fly doublets, chirps or turns that move it" if found else "log all channels at one rate, or --rate",
-            )  # fmt: skip
+                f"channel {spec.name} does not move",
+                where=", ".join(data.names),
+                fix="fly doublets, chirps or turns that move it"
+                if found
+                else "log all channels at one rate, or --rate",
+            )
     return found, seconds
 
 
@@ -181,7 +207,9 @@ def _longest(lengths: Sequence[int], dt: float, sources: int, window: float | No
     raise DataError(
         f"too short: {sum(lengths) * dt:.3g} s, the longest without a gap {max(lengths) * dt:.3g} s",
         expected=f"about {0.53 * (need + 1) * least:.2g} s in stretches much longer than {least:g} s",
-        fix="more or longer flights; of logs at several rates, --rate" if window is None else "a shorter --window",
+        fix="more or longer flights; of logs at several rates, --rate"
+        if window is None
+        else "a shorter --window",
     )
 
 
@@ -190,7 +218,9 @@ def _of_model(model: IdentifiedModel | LinearModel, c: _Channels, f: FloatArray)
     dynamics = model if isinstance(model, LinearModel) else model.dynamics
     dt = model.dt if isinstance(model, LinearModel) else model.sample_time
     seen = weights_of(c.outputs, dynamics.innovations.names, f"model {model.name}", "output")
-    driven = np.linalg.pinv(weights_of(c.inputs, dynamics.inputs.names, f"model {model.name}", "input"))
+    driven = np.linalg.pinv(
+        weights_of(c.inputs, dynamics.inputs.names, f"model {model.name}", "input")
+    )
     out = np.full((f.size, len(c.y), len(c.u)), np.nan, dtype=np.complex128)
     known = f < 0.49 / dt
     out[known] = seen @ response_of(model, f[known]) @ driven
@@ -198,9 +228,13 @@ def _of_model(model: IdentifiedModel | LinearModel, c: _Channels, f: FloatArray)
 
 
 def _warnings(
-    c: _Channels, stretches: Sequence[FloatArray], r: Response, usable: BoolArray, data: Dataset,
+    c: _Channels,
+    stretches: Sequence[FloatArray],
+    r: Response,
+    usable: BoolArray,
+    data: Dataset,
     model: IdentifiedModel | LinearModel | None,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     said = []
     watched = c.z or c.u
     fed = [c.all[i].name for i in watched if follows(stretches, i, c.y)]
@@ -217,14 +251,20 @@ def _warnings(
         )
     for j, spec in enumerate(c.inputs):
         if np.median(r.shared[:, j]) > TOGETHER:
-            said.append(f"{spec.name} moves together with the other inputs: they cannot be told apart in these flights")
+            said.append(
+                f"{spec.name} moves together with the other inputs: they cannot be told apart in these flights"
+            )
         if c.z and not (r.instrument[:, j] > STRONG).any():
             said.append(f"the references hardly move {spec.name}")
     needed = {column for s in (*c.outputs, *c.inputs) for _, column in s.terms}
     if smoothed := sorted(needed & data.noncausal):
-        said.append(f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the craft")
+        said.append(
+            f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the craft"
+        )
     if model is not None:
         dt = model.dt if isinstance(model, LinearModel) else model.sample_time
         if abs(dt / data.flights[0].dt - 1) > 1e-3:
-            said.append(f"the flights have {1 / data.flights[0].dt:.4g} Hz, the model {1 / dt:.4g}: commands are held differently")
+            said.append(
+                f"the flights have {1 / data.flights[0].dt:.4g} Hz, the model {1 / dt:.4g}: commands are held differently"
+            )
     return said

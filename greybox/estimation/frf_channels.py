@@ -33,7 +33,8 @@ def mixers(vehicle: Airframe) -> dict[str, ChannelSpec]:
     names = [n for n, yes in zip(MIXERS, there, strict=True) if yes]
     return {
         name: ChannelSpec(
-            name=name, terms=tuple((float(w), f"u{i + 1}") for i, w in enumerate(row) if abs(w) > 1e-9)
+            name=name,
+            terms=tuple((float(w), f"u{i + 1}") for i, w in enumerate(row) if abs(w) > 1e-9),
         )
         for name, row in zip(names, weights, strict=True)
     }

@@ -92,7 +92,9 @@ class Pair:
     def usable_bands(self) -> str:
         """The usable frequencies in words."""
         parts = [self.frequency[s] for s in runs(self.usable)]
-        return ", ".join(f"{p[0]:.2g} to {p[-1]:.2g} Hz" if len(p) > 1 else f"{p[0]:.2g} Hz" for p in parts)
+        return ", ".join(
+            f"{p[0]:.2g} to {p[-1]:.2g} Hz" if len(p) > 1 else f"{p[0]:.2g} Hz" for p in parts
+        )
 
     def lines(self) -> Iterator[str]:
         """What there is to say, a line each."""
@@ -114,7 +116,9 @@ class Pair:
             f"of the phase, {f.low:.2g} to {f.high:.2g} Hz), gain {f.gain:.4g} +- {f.gain_std:.2g} {unit} per {per}"
         )
         early = f.lag + 2 * f.lag_std < 0
-        return line + (": before it is sent, so that this is the controller and not the craft" if early else "")
+        return line + (
+            ": before it is sent, so that this is the controller and not the craft" if early else ""
+        )
 
     def parts(self) -> Iterator[str]:
         """Where the model and the measured response part."""
@@ -129,7 +133,8 @@ class Pair:
             off = np.abs(ratio - 1)
             worst = int(np.argmax(off))
             yield (
-                f"the model lies outside the 95 % circle from {f[0]:.2g} to {f[-1]:.2g} Hz: {100 * np.median(off):.0f} % off, "
+                f"the model lies outside the 95 % circle from {f[0]:.2g} to {f[-1]:.2g} Hz: "
+                f"{100 * np.median(off):.0f} % off, "
                 f"most at {f[worst]:.2g} Hz ({abs(ratio[worst]):.2f} times the magnitude, "
                 f"{np.rad2deg(np.angle(ratio[worst])):+.0f} deg)"
             )
@@ -140,20 +145,31 @@ class Pair:
         low, high = self.magnitude_band
         phase, half = self.phase, self.phase_half
         out: dict[str, Any] = {
-            "input": self.input.name, "output": self.output.name, "unit": self.unit,
-            "real": self.value.real.tolist(), "imaginary": self.value.imag.tolist(), "radius": self.radius.tolist(),
-            "magnitude": self.magnitude.tolist(), "magnitude_lower": low.tolist(), "magnitude_upper": high.tolist(),
-            "phase_deg": phase.tolist(), "phase_lower_deg": (phase - half).tolist(),
-            "phase_upper_deg": (phase + half).tolist(), "coherence": self.coherence.tolist(),
-            "usable": self.usable.tolist(), "form": None if self.form is None else vars(self.form), "model": None,
+            "input": self.input.name,
+            "output": self.output.name,
+            "unit": self.unit,
+            "real": self.value.real.tolist(),
+            "imaginary": self.value.imag.tolist(),
+            "radius": self.radius.tolist(),
+            "magnitude": self.magnitude.tolist(),
+            "magnitude_lower": low.tolist(),
+            "magnitude_upper": high.tolist(),
+            "phase_deg": phase.tolist(),
+            "phase_lower_deg": (phase - half).tolist(),
+            "phase_upper_deg": (phase + half).tolist(),
+            "coherence": self.coherence.tolist(),
+            "usable": self.usable.tolist(),
+            "form": None if self.form is None else vars(self.form),
+            "model": None,
             "lines": [line.strip() for line in self.lines()],
-        }  # fmt: skip
+        }
         if self.model is not None:
             assert self.outside is not None
             out["model"] = {
-                "magnitude": np.abs(self.model).tolist(), "phase_deg": self.phase_of(self.model).tolist(),
+                "magnitude": np.abs(self.model).tolist(),
+                "phase_deg": self.phase_of(self.model).tolist(),
                 "outside": self.outside.tolist(),
-            }  # fmt: skip
+            }
         return out
 
 
@@ -210,21 +226,39 @@ class FrequencyResponse(Shown):
         for p in self.pairs.values():
             low, high = p.magnitude_band
             columns = {
-                "frequency": p.frequency, "magnitude": p.magnitude, "magnitude_lower": low, "magnitude_upper": high,
-                "phase_deg": p.phase, "phase_half_deg": p.phase_half, "coherence": p.coherence,
-            }  # fmt: skip
+                "frequency": p.frequency,
+                "magnitude": p.magnitude,
+                "magnitude_lower": low,
+                "magnitude_upper": high,
+                "phase_deg": p.phase,
+                "phase_half_deg": p.phase_half,
+                "coherence": p.coherence,
+            }
             for k in range(len(p.frequency)):
                 numbers = {n: float(v[k]) for n, v in columns.items()}
-                yield {"output": p.output.name, "input": p.input.name, **numbers, "usable": bool(p.usable[k])}
+                yield {
+                    "output": p.output.name,
+                    "input": p.input.name,
+                    **numbers,
+                    "usable": bool(p.usable[k]),
+                }
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values of frf.json (without the command)."""
         return {
-            "schema": SCHEMA, "line": self.line, "measured": self.measured, "model": self.model,
-            "sample_time": self.sample_time, "flights": dict(self.flights), "references": list(self.references),
-            "frequency": self.frequency.tolist(), "averages": self.averages.tolist(), "window": self.window.tolist(),
-            "pairs": [p.to_dict() for p in self.pairs.values()], "warnings": list(self.warnings),
-        }  # fmt: skip
+            "schema": SCHEMA,
+            "line": self.line,
+            "measured": self.measured,
+            "model": self.model,
+            "sample_time": self.sample_time,
+            "flights": dict(self.flights),
+            "references": list(self.references),
+            "frequency": self.frequency.tolist(),
+            "averages": self.averages.tolist(),
+            "window": self.window.tolist(),
+            "pairs": [p.to_dict() for p in self.pairs.values()],
+            "warnings": list(self.warnings),
+        }
 
     def plot(self, pair: str | None = None, *, ax: Any = None) -> list[Axes]:
         """Magnitude and phase with their bands, and coherence, of one pair (the first one); matplotlib
@@ -234,14 +268,20 @@ class FrequencyResponse(Shown):
         p = self.pairs[next(iter(self.pairs)) if pair is None else pair]
         shown = np.where(p.usable, 1.0, np.nan)
         rows = {
-            f"{p.name} [{p.unit}]": [Curve(label="flights", x=p.frequency, y=p.magnitude * shown, spread=p.half)],
-            "phase [deg]": [Curve(label="flights", x=p.frequency, y=p.phase * shown, spread=p.phase_half)],
+            f"{p.name} [{p.unit}]": [
+                Curve(label="flights", x=p.frequency, y=p.magnitude * shown, spread=p.half)
+            ],
+            "phase [deg]": [
+                Curve(label="flights", x=p.frequency, y=p.phase * shown, spread=p.phase_half)
+            ],
             "coherence": [Curve(label="", x=p.frequency, y=p.coherence)],
         }
         if p.model is not None:
             first, second = list(rows)[:2]
             rows[first].append(Curve(label=self.model or "model", x=p.frequency, y=np.abs(p.model)))
-            rows[second].append(Curve(label=self.model or "model", x=p.frequency, y=p.phase_of(p.model)))
+            rows[second].append(
+                Curve(label=self.model or "model", x=p.frequency, y=p.phase_of(p.model))
+            )
         axes = panels(rows, x="frequency [Hz]", ax=ax)
         for axis in axes:
             axis.set_xscale("log")
@@ -250,13 +290,25 @@ class FrequencyResponse(Shown):
 
 
 def pair_of(
-    r: Response, frequency: FloatArray, usable: BoolArray, place: tuple[int, int],
-    channels: tuple[ChannelSpec, ChannelSpec], form: LagAndGain | None, model: ComplexArray | None,
-) -> Pair:  # fmt: skip
+    r: Response,
+    frequency: FloatArray,
+    usable: BoolArray,
+    place: tuple[int, int],
+    channels: tuple[ChannelSpec, ChannelSpec],
+    form: LagAndGain | None,
+    model: ComplexArray | None,
+) -> Pair:
     """The pair at `place` (output, input) of a response (K, p, q)."""
     i, j = place
     return Pair(
-        output=channels[0], input=channels[1], frequency=frequency, value=r.value[:, i, j], half=band(r)[:, i, j],
-        radius=circle(r)[:, i, j], coherence=r.coherence[:, i, j], usable=usable, form=form,
+        output=channels[0],
+        input=channels[1],
+        frequency=frequency,
+        value=r.value[:, i, j],
+        half=band(r)[:, i, j],
+        radius=circle(r)[:, i, j],
+        coherence=r.coherence[:, i, j],
+        usable=usable,
+        form=form,
         model=None if model is None else model[:, i, j],
-    )  # fmt: skip
+    )

@@ -93,12 +93,18 @@ def _fitted(
         return np.concatenate([(size - log_size) / sigma, (turn - phase) / sigma])
 
     low_end = float(omega[0])
-    start = [float(np.median(size + n * np.log(omega))), start_lag, np.log(0.01)] + [np.log(low_end / 2)] * (n > 0)
+    start = [float(np.median(size + n * np.log(omega))), start_lag, np.log(0.01)] + [
+        np.log(low_end / 2)
+    ] * (n > 0)
     low = [-np.inf, -LONGEST, np.log(1e-4)] + [np.log(1e-2)] * (n > 0)
     # A corner above the low end would be a second lag under another name.
     high = [np.inf, LONGEST, np.log(SLOWEST)] + [np.log(max(2 * low_end, 0.1))] * (n > 0)
     done = scipy.optimize.least_squares(
-        residual, np.clip(start, low, high), bounds=(low, high), loss="soft_l1", x_scale=[1.0, 0.02, 1.0] + [1.0] * (n > 0)
+        residual,
+        np.clip(start, low, high),
+        bounds=(low, high),
+        loss="soft_l1",
+        x_scale=[1.0, 0.02, 1.0] + [1.0] * (n > 0),
     )
     r, j = residual(done.x), done.jac
     free = max(r.size - done.x.size, 1)
@@ -107,6 +113,12 @@ def _fitted(
     std = np.sqrt(np.diag(np.linalg.pinv(j.T @ j, rcond=1e-10)) * scatter)
     gain = sign * float(np.exp(done.x[0]))
     return float(done.cost), LagAndGain(
-        lag=float(done.x[1]), lag_std=float(std[1]), gain=gain, gain_std=abs(gain) * float(std[0]),
-        corner=float(np.exp(done.x[3])) if n else 0.0, integrators=n, low=float(f[0]), high=float(f[-1]),
-    )  # fmt: skip
+        lag=float(done.x[1]),
+        lag_std=float(std[1]),
+        gain=gain,
+        gain_std=abs(gain) * float(std[0]),
+        corner=float(np.exp(done.x[3])) if n else 0.0,
+        integrators=n,
+        low=float(f[0]),
+        high=float(f[-1]),
+    )

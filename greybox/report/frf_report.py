@@ -48,25 +48,44 @@ def frf_report(content: Mapping[str, Any]) -> str:
         key = [Key(text="flights, with 95 % band", colour="c1")]
         if p["model"] is not None:
             key.append(Key(text=f"{content['model']}", colour="c2"))
-        alt = f"Magnitude, phase and coherence of {p['output']} over {p['input']} against frequency."
+        alt = (
+            f"Magnitude, phase and coherence of {p['output']} over {p['input']} against frequency."
+        )
         report.figure(
-            _figure_of(content["frequency"], p), alt=alt, key=key,
+            _figure_of(content["frequency"], p),
+            alt=alt,
+            key=key,
             caption="Where coherence is too low for use the curve is pale and without a band. Dashed: coherence 0.6.",
-        )  # fmt: skip
+        )
     if rest := [p for p in content["pairs"] if not any(p["usable"])]:
         report.heading("Too low a coherence at every frequency")
-        rows: list[list[Cell]] = [[f"{p['output']} over {p['input']}", max(p["coherence"])] for p in rest]
+        rows: list[list[Cell]] = [
+            [f"{p['output']} over {p['input']}", max(p["coherence"])] for p in rest
+        ]
         report.table(["response", "highest coherence"], rows)
     report.section("How it was estimated")
     references = ", ".join(content["references"])
     windows = content["window"]
-    report.facts([
-        ("flights", ", ".join(f"{name} ({s:.0f} s)" for name, s in flights.items())),
-        ("estimate", f"joint input-output, by {references}" if references else "direct: outputs over inputs, all at once"),
-        ("windows", f"Hann, {windows[0]:.3g} s at {content['frequency'][0]:.2g} Hz to {windows[-1]:.3g} s, overlap one half"),
-        ("averages", f"{content['averages'][0]:.0f} at the lowest frequency, {content['averages'][-1]:.0f} at the highest"),
-        ("sample time", f"{content['sample_time']:g} s"),
-    ])  # fmt: skip
+    report.facts(
+        [
+            ("flights", ", ".join(f"{name} ({s:.0f} s)" for name, s in flights.items())),
+            (
+                "estimate",
+                f"joint input-output, by {references}"
+                if references
+                else "direct: outputs over inputs, all at once",
+            ),
+            (
+                "windows",
+                f"Hann, {windows[0]:.3g} s at {content['frequency'][0]:.2g} Hz to {windows[-1]:.3g} s, overlap one half",
+            ),
+            (
+                "averages",
+                f"{content['averages'][0]:.0f} at the lowest frequency, {content['averages'][-1]:.0f} at the highest",
+            ),
+            ("sample time", f"{content['sample_time']:g} s"),
+        ]
+    )
     report.section("How to get this again")
     report.code(content["command"])
     return report.html()
@@ -78,16 +97,24 @@ def _gains(report: Report, pairs: list[Mapping[str, Any]]) -> None:
         form = p["form"]
         if form is not None:
             span = f"{form['low']:.2g} to {form['high']:.2g} Hz"
-            rows.append([
-                f"{p['output']} over {p['input']}", 1e3 * form["lag"], 1e3 * form["lag_std"], form["gain"],
-                form["gain_std"], form["integrators"], span,
-            ])  # fmt: skip
+            rows.append(
+                [
+                    f"{p['output']} over {p['input']}",
+                    1e3 * form["lag"],
+                    1e3 * form["lag_std"],
+                    form["gain"],
+                    form["gain_std"],
+                    form["integrators"],
+                    span,
+                ]
+            )
     if rows:
         report.table(
-            ["response", "lag [ms]", "std", "gain", "std", "integrators", "fitted to"], rows,
+            ["response", "lag [ms]", "std", "gain", "std", "integrators", "fitted to"],
+            rows,
             caption="gain exp(-lag s) / s^integrators, with a corner of the last integrator and part of the lag of first "
             "order. Gain: output unit per second to the number of integrators, per unit of the input.",
-        )  # fmt: skip
+        )
 
 
 def _figure_of(frequency: list[float], p: Mapping[str, Any]) -> Figure:
@@ -96,7 +123,9 @@ def _figure_of(frequency: list[float], p: Mapping[str, Any]) -> Figure:
     figure = _figure(_TOP + _BOTTOM + sum(heights) + 2 * space)
     f, good = np.asarray(frequency), np.asarray(p["usable"], dtype=bool)
     bottom = _BOTTOM + sum(heights) + 2 * space
-    for i, (what, unit, height) in enumerate(zip(("magnitude", "phase_deg", "coherence"), (p["unit"], "deg", "1"), heights)):
+    for i, (what, unit, height) in enumerate(
+        zip(("magnitude", "phase_deg", "coherence"), (p["unit"], "deg", "1"), heights)
+    ):
         bottom -= height
         axes = _axes(figure, _LEFT, bottom, WIDTH - _LEFT - _RIGHT, height)
         bottom -= space
@@ -104,12 +133,17 @@ def _figure_of(frequency: list[float], p: Mapping[str, Any]) -> Figure:
         axes.plot(f, values, color=SERIES[0], linewidth=0.8, alpha=1.0 if i == 2 else 0.3)
         if i < 2:
             name, _, end = what.partition("_")
-            low, high = (np.array(p["_".join(x for x in (name, s, end) if x)], dtype=float) for s in ("lower", "upper"))
+            low, high = (
+                np.array(p["_".join(x for x in (name, s, end) if x)], dtype=float)
+                for s in ("lower", "upper")
+            )
             shown = np.where(good, values, np.nan)
             axes.plot(f, shown, color=SERIES[0], linewidth=1.4, marker="o", markersize=2)
             axes.fill_between(f, low, high, where=good, color=SERIES[0], alpha=0.25, linewidth=0)
             if p["model"] is not None:
-                axes.plot(f, np.array(p["model"][what], dtype=float), color=SERIES[1], linewidth=1.3)
+                axes.plot(
+                    f, np.array(p["model"][what], dtype=float), color=SERIES[1], linewidth=1.3
+                )
             if i == 0:
                 axes.set_yscale("log")
                 axes.yaxis.set_major_locator(LogLocator(numticks=5))
@@ -128,5 +162,10 @@ def _figure_of(frequency: list[float], p: Mapping[str, Any]) -> Figure:
         if i < 2:
             axes.tick_params(labelbottom=False)
         label = f"{what.partition('_')[0]} [{unit}]" if unit != "1" or i == 0 else what
-        _label(axes, x="frequency [Hz]" if i == 2 else "", y=label, title=f"{p['output']} over {p['input']}" if i == 0 else "")
+        _label(
+            axes,
+            x="frequency [Hz]" if i == 2 else "",
+            y=label,
+            title=f"{p['output']} over {p['input']}" if i == 0 else "",
+        )
     return figure

@@ -41,8 +41,13 @@ def follows(stretches: Sequence[FloatArray], signal: int, others: Sequence[int])
     past = [np.hstack([s[LAGS:, :1], _past(s)]) for s in kept]
     x, y = np.concatenate(past), np.concatenate([s[LAGS:, 1:] for s in kept])
     known = np.linalg.lstsq(x.T @ x, x.T @ y, rcond=1e-12)[0]
-    news = [np.column_stack([s[LAGS:, 0], s[LAGS:, 1:] - p @ known]) for s, p in zip(kept, past, strict=True)]
-    rows = np.concatenate([np.hstack([s[LAGS:, :1], _past(s[:, :1]), _past(s[:, 1:])]) for s in news])
+    news = [
+        np.column_stack([s[LAGS:, 0], s[LAGS:, 1:] - p @ known])
+        for s, p in zip(kept, past, strict=True)
+    ]
+    rows = np.concatenate(
+        [np.hstack([s[LAGS:, :1], _past(s[:, :1]), _past(s[:, 1:])]) for s in news]
+    )
     n, wide = rows.shape
     gram = rows.T @ rows
     alone, full = _left(gram[: 1 + LAGS, : 1 + LAGS]), _left(gram)

@@ -122,7 +122,9 @@ def response(
     q = len(u)
     size = np.sqrt(np.maximum(np.einsum("kii->ki", s.matrix).real.mean(axis=0), 1e-300))
     m = s.matrix / (size[:, None] * size)
-    blocks = {(a, b): m[:, i][:, :, j] for a, i in zip("yuz", (y, u, z)) for b, j in zip("yuz", (y, u, z))}
+    blocks = {
+        (a, b): m[:, i][:, :, j] for a, i in zip("yuz", (y, u, z)) for b, j in zip("yuz", (y, u, z))
+    }
     project = _hermitian(blocks["u", "z"] @ _inverse(blocks["z", "z"]))  # (K, z, u)
     if references:
         explained = blocks["u", "z"] @ project

@@ -17,7 +17,13 @@ from tests.statistics.test_frequency_responses_have_honest_bands import DT, GAIN
 SIGNS = np.array([np.sign(r.position[1]) for r in example_vehicle().rotors])
 
 
-def flights(count: int = 2, feedback: float = 0.0, noise: float = 0.02, gap: bool = False, seconds: float = 60.0) -> gb.Dataset:
+def flights(
+    count: int = 2,
+    feedback: float = 0.0,
+    noise: float = 0.02,
+    gap: bool = False,
+    seconds: float = 60.0,
+) -> gb.Dataset:
     """Flights whose roll command u drives p, with a hover command and small other motions."""
     data = gb.Dataset(flights=())
     for i in range(count):
@@ -34,9 +40,14 @@ def linear_model(gain: float = 1.0, delay: int = 2) -> LinearModel:
     """The plant of `flown`, from the command roll, as a model."""
     one = np.eye(1)
     return LinearModel(
-        name="plant", matrices=Matrices(POLE * one, GAIN * gain / 0.2 * one, one, 0 * one, 0 * one), noise=one, dt=DT,
-        inputs=Layout([Signal(name="roll", unit="1")]), outputs=Layout([Signal(name="p", unit="rad/s")]), delays=(delay,),
-    )  # fmt: skip
+        name="plant",
+        matrices=Matrices(POLE * one, GAIN * gain / 0.2 * one, one, 0 * one, 0 * one),
+        noise=one,
+        dt=DT,
+        inputs=Layout([Signal(name="roll", unit="1")]),
+        outputs=Layout([Signal(name="p", unit="rad/s")]),
+        delays=(delay,),
+    )
 
 
 def test_gain_and_lag_are_found_within_their_errors():
@@ -55,7 +66,9 @@ def test_mixed_commands_are_those_of_a_mixer():
     assert sorted(mixed) == ["pitch", "roll", "thrust", "yaw"]
     assert [w for w, _ in mixed["roll"].terms] == pytest.approx(0.25 * SIGNS)
     assert [w for w, _ in mixed["thrust"].terms] == pytest.approx([0.25] * 4)
-    assert [w for w, _ in mixed["yaw"].terms] == pytest.approx([-0.25 * r.spin for r in example_vehicle().rotors])
+    assert [w for w, _ in mixed["yaw"].terms] == pytest.approx(
+        [-0.25 * r.spin for r in example_vehicle().rotors]
+    )
 
 
 def test_the_right_model_lies_inside_and_a_wrong_one_is_said_to_part():
@@ -63,7 +76,9 @@ def test_the_right_model_lies_inside_and_a_wrong_one_is_said_to_part():
     right = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model()).pairs["p/roll"]
     assert right.outside is not None and right.outside.sum() <= 5
     assert len(list(right.parts())) == 1 and "inside the 95 % circle at" in next(right.parts())
-    late = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(delay=4)).pairs["p/roll"]
+    late = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(delay=4)).pairs[
+        "p/roll"
+    ]
     said = "\n".join(late.parts())
     assert "outside the 95 % circle from" in said and " Hz: " in said and late.outside is not None
     assert late.outside[-5:].any() and not late.outside[:2].all()
@@ -73,7 +88,9 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
     data, vehicle = flights(count=3, feedback=0.2, noise=0.4), example_vehicle()
     direct = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model())
     assert any("closed loop" in w and "--references" in w for w in direct.warnings)
-    by_reference = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(), references=["ref"])
+    by_reference = gb.frf(
+        data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(), references=["ref"]
+    )
     assert by_reference.warnings == () and by_reference.references == ("ref",)
     shares = []
     for found in (direct, by_reference):
@@ -85,7 +102,10 @@ def test_a_closed_loop_is_said_and_a_reference_mends_it():
 
 
 def test_gaps_cost_averages_and_no_honesty():
-    whole, holed = (gb.frf(flights(gap=g), ["roll"], ["p"], vehicle=example_vehicle(), window=4.0) for g in (False, True))
+    whole, holed = (
+        gb.frf(flights(gap=g), ["roll"], ["p"], vehicle=example_vehicle(), window=4.0)
+        for g in (False, True)
+    )
     assert holed.averages[0] < whole.averages[0] and np.isfinite(holed.pairs["p/roll"].value).all()
     assert holed.pairs["p/roll"].form is not None
 
@@ -99,13 +119,16 @@ def test_what_is_measured_shows_itself_and_draws_itself():
 
 
 REFUSED = {
-    "an input that is still": (dict(inputs=["still"]), "channel still does not move"),
-    "an unknown channel": (dict(inputs=["u9"]), "unknown channel 'u9'"),
-    "no vehicle": (dict(vehicle=None), "--vehicle V.toml"),
-    "one thing twice": (dict(inputs=["p"]), "named as two things"),
-    "too few references": (dict(inputs=["u1", "u2"], references=["ref"]), "1 reference.s. for 2 inputs"),
-    "a window too long": (dict(window=40.0), "too short: 60 s"),
-    "a band that is none": (dict(band=(9.0, 3.0)), "a band from 9 to 3 Hz"),
+    "an input that is still": ({"inputs": ["still"]}, "channel still does not move"),
+    "an unknown channel": ({"inputs": ["u9"]}, "unknown channel 'u9'"),
+    "no vehicle": ({"vehicle": None}, "--vehicle V.toml"),
+    "one thing twice": ({"inputs": ["p"]}, "named as two things"),
+    "too few references": (
+        {"inputs": ["u1", "u2"], "references": ["ref"]},
+        "1 reference.s. for 2 inputs",
+    ),
+    "a window too long": ({"window": 40.0}, "too short: 60 s"),
+    "a band that is none": ({"band": (9.0, 3.0)}, "a band from 9 to 3 Hz"),
 }
 
 
@@ -121,6 +144,8 @@ def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
     with pytest.raises(gb.GreyboxError, match="too short: 8 s"):
         gb.frf(flights(count=1, seconds=8.0), ["roll"], ["p"], vehicle=example_vehicle())
     rng = np.random.default_rng(0)
-    noise = gb.dataset_from_arrays(DT * np.arange(4000), {"a": rng.standard_normal(4000), "b": rng.standard_normal(4000)})
+    noise = gb.dataset_from_arrays(
+        DT * np.arange(4000), {"a": rng.standard_normal(4000), "b": rng.standard_normal(4000)}
+    )
     found = gb.frf(noise, ["a"], ["b"])
     assert not found.measured and found.line == "not measured: no frequency has coherence above 0.6"

@@ -20,10 +20,14 @@ FREQUENCY = np.array([0.5, 2.0, 6.0])
 def linear(delays: tuple[int, ...]) -> LinearModel:
     a = np.array([[0.9, 0.1], [-0.05, 0.8]])
     return LinearModel(
-        name="two", matrices=Matrices(a, np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))), noise=np.eye(2), dt=0.02,
-        inputs=Layout([Signal(name=n, unit="1") for n in "ab"]), outputs=Layout([Signal(name=n, unit="1") for n in "cd"]),
+        name="two",
+        matrices=Matrices(a, np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))),
+        noise=np.eye(2),
+        dt=0.02,
+        inputs=Layout([Signal(name=n, unit="1") for n in "ab"]),
+        outputs=Layout([Signal(name=n, unit="1") for n in "cd"]),
         delays=delays,
-    )  # fmt: skip
+    )
 
 
 def test_a_linear_model_with_delays_agrees_with_python_control():
@@ -44,4 +48,6 @@ def test_a_craft_answers_with_its_lag_and_its_delay():
     gain = 4 * 0.1 * 10 * nu / 0.01  # four rotors at 0.1 m, thrust 5 nu^2, 0.01 kg m^2
     s = 2j * np.pi * FREQUENCY
     held = (1 - np.exp(-s * model.sample_time)) / (s * model.sample_time)
-    np.testing.assert_allclose(roll, gain * held * np.exp(-s * delay) / (s * (1 + tau * s)), rtol=0.02)
+    np.testing.assert_allclose(
+        roll, gain * held * np.exp(-s * delay) / (s * (1 + tau * s)), rtol=0.02
+    )

@@ -8,7 +8,15 @@ import pytest
 import scipy.signal
 
 from greybox.statistics.feedback import follows
-from greybox.statistics.spectra import averages_in, band, by_chance, circle, frequencies, response, spectra
+from greybox.statistics.spectra import (
+    averages_in,
+    band,
+    by_chance,
+    circle,
+    frequencies,
+    response,
+    spectra,
+)
 
 DT, POLE = 0.02, np.exp(-2 * 0.02)
 GAIN = 25 * (1 - POLE)
@@ -17,7 +25,9 @@ Z = np.exp(2j * np.pi * FREQUENCY * DT)
 TRUE = GAIN * Z**-3 / (1 - POLE / Z)
 
 
-def flown(seed: int, feedback: float = 0.0, seconds: float = 60.0, noise: float = 0.02) -> np.ndarray:
+def flown(
+    seed: int, feedback: float = 0.0, seconds: float = 60.0, noise: float = 0.02
+) -> np.ndarray:
     """u, y, r of y' = -2 y + 50 u(t - 0.04 s) + noise, u = r - feedback y, r coloured."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
@@ -31,7 +41,9 @@ def flown(seed: int, feedback: float = 0.0, seconds: float = 60.0, noise: float 
     return np.column_stack([r - feedback * y, y, r])
 
 
-def share_inside(references: bool, feedback: float, noise: float = 0.02, seeds: int = 40) -> tuple[float, float]:
+def share_inside(
+    references: bool, feedback: float, noise: float = 0.02, seeds: int = 40
+) -> tuple[float, float]:
     """Shares of complex values inside the circle and of magnitudes inside the band."""
     inside = []
     for seed in range(seeds):
@@ -39,7 +51,10 @@ def share_inside(references: bool, feedback: float, noise: float = 0.02, seeds: 
         r = response(s, [1], [0], [2] if references else ())
         value = r.value[:, 0, 0]
         inside.append(
-            [np.abs(value - TRUE) < circle(r)[:, 0, 0], np.abs(np.abs(value) - np.abs(TRUE)) < band(r)[:, 0, 0]]
+            [
+                np.abs(value - TRUE) < circle(r)[:, 0, 0],
+                np.abs(np.abs(value) - np.abs(TRUE)) < band(r)[:, 0, 0],
+            ]
         )
     circles, bands = np.mean(inside, axis=(0, 2))
     return float(circles), float(bands)
@@ -52,7 +67,7 @@ def test_bands_hold_the_truth_as_often_as_they_say():
 
 
 def test_a_loop_is_biased_at_any_coherence_and_a_reference_mends_it():
-    closed = dict(feedback=0.2, noise=0.6)
+    closed = {"feedback": 0.2, "noise": 0.6}
     s = spectra([flown(0, **closed)], DT, FREQUENCY, 8.0)
     assert np.median(response(s, [1], [0]).coherence) > 0.6
     assert share_inside(False, seeds=6, **closed)[0] < 0.5
@@ -78,7 +93,9 @@ def test_two_inputs_at_once_are_told_apart_by_partial_coherence():
         y = a[:, 1] + 0.5 * np.roll(u2, 1)
         s = spectra([np.column_stack([a[:, 0], u2, y])[5:]], DT, FREQUENCY, 8.0)
         both, one = response(s, [2], [0, 1]), response(s, [2], [0])
-        inside.append(np.abs(both.value[:, 0] - np.column_stack([TRUE, 0.5 / Z])) < circle(both)[:, 0])
+        inside.append(
+            np.abs(both.value[:, 0] - np.column_stack([TRUE, 0.5 / Z])) < circle(both)[:, 0]
+        )
         wrong.append(np.abs(one.value[:, 0, 0] - TRUE) > circle(one)[:, 0, 0])
         assert both.shared.max() < 0.95
     assert 0.91 < np.mean(inside) < 0.985
