@@ -36,6 +36,13 @@ class Signal:
     meaning: str = ""
 
 
+def sum_of(first: Expr, second: Expr) -> Expr:
+    """Their sum, where None is nothing."""
+    if first is None or second is None:
+        return second if first is None else first
+    return first + second
+
+
 class Layout:
     """An ordered set of named scalar signals: maps names to positions in a vector.
 

@@ -27,7 +27,7 @@ HISTORY = "history."
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Exported:
-    """Functions by name (the table of docs/export.md) and what belongs to them; all orders are those of the functions.
+    """Functions by name (the table of docs/bundle.md) and what belongs to them; all orders are those of the functions.
 
     `states` are the model's own (`own_states` of them) and then the command history `history.<input>.<samples ago>`.
     `parameter_values` (n_p,) are the identified values of p, (`reference_state`, `reference_inputs`) a typical point,

@@ -33,7 +33,7 @@ from greybox.model.parameter import Parameter
 from greybox.residual import features as model_features
 from greybox.residual.base_predictor import LAST_ERROR, LATE, BasePredictor
 from greybox.residual.regressors import Lags
-from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
 from mpc_export.sampled import Sampled
 
 OFFSET = "offset."
@@ -127,9 +127,18 @@ class InnovationForm(ABC):
         """Next state with innovation w."""
         return self.f(t, x, window[:, 0], p, w)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs with innovation w."""
-        return self.h(t, x, window[:, 0], p, w)
+        return self.h(t, x, window[:, 0], p, sum_of(w, lasting))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """y - y_hat."""

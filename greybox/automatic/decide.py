@@ -1,19 +1,20 @@
 """decide: from flights and a vehicle file to the recipe of a fit, every choice with its reason.
 
 1. Of two numbers of which flights show the ratio alone the better known one is held.
-2. Gyro and accelerometer get a low-pass filter and coloured noise where the innovations of the
-   first set are not white and BIC clearly asks for it: a filter that is left out looks like more
-   lag of the motors, colour that is left out like a slower filter.
-3. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
-   every flight, with disturbance states of force and torque, and foretell the part left out. The
-   smallest set within one standard error of the best is taken, less the steps that nothing feels.
+2. The nested standard sets of effects (`sets`) are fitted one after the other to the first part of
+   every flight, with disturbance states of force and torque, and foretell the part left out. Of
+   the sets within one standard error of the best the one with the lowest BIC is taken, less the
+   steps that nothing feels: an effect that is there and left out bends what it is taken for.
+3. Gyro and accelerometer get a low-pass filter and coloured noise where the innovations are not
+   white and BIC clearly asks for it: a filter that is left out looks like more lag of the motors,
+   colour that is left out like a slower filter. What is not felt with them goes.
 4. The thrust scale gets a value per flight where flights differ by more than their errors.
 5. Errors up to half a second ahead replace the likelihood where that foretells better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -41,6 +42,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
+from greybox.model.effective_lag import PARTS as IN_A_ROW
 from greybox.model.model import PhysicsModel, build_model
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
@@ -67,6 +69,8 @@ DIGITS = 3
 RATIOS = (("mass", "thrust.c2", "motion"), ("torque.c2", "inertia.zz", "yaw"))
 """Pairs that scale together and change no prediction: force over mass, yaw torque over inertia."""
 THRUST = "thrust.c2"
+TAKES_LATENESS = frozenset(n.split(".")[0] for n in IN_A_ROW) - {"motor_lag"}
+"""Effects that stand for a filter of the gyro where there is none: what is late in its place."""
 
 Say = Callable[[str], None]
 
@@ -181,10 +185,14 @@ class _Decider:
         first = self._try(steps[:1], options, None, parts)
         if first is None:
             return self._decided(steps[:1], options, None)
-        options, first = self._filters(options, first, parts)
-        late = set(_names(first.steps)) & set(names_of(LATE_POSE))
-        rest = [s for s in steps[1:] if not late & set(names_of(s))]
-        chosen = self._smallest_good((*first.steps, *rest), options, first, parts)
+        tried = self._nested(steps, options, first, parts)
+        best = min(tried, key=lambda c: c.score.mean)
+        good = [c for c in tried if _as_good(c, best)]
+        chosen = self._without_unfelt(min(good, key=lambda c: c.likelihood.bic), options, best, parts)
+        options, noisy = self._filters(options, chosen, parts)
+        if noisy is not chosen:
+            chosen = self._without_unfelt(noisy, options, noisy, parts)
+        self._say_effects(chosen, tried)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
         return self._decided(chosen.steps, self._started(options, chosen), chosen)
@@ -355,8 +363,10 @@ class _Decider:
         parts: tuple[Dataset, Dataset],
         *,
         solver: LevenbergMarquardt = QUICK,
+        afresh: Collection[str] = (),
     ) -> Candidate | None:
-        """`steps` fitted and judged, from where `before` ended; None where that is not possible.
+        """`steps` fitted and judged, from where `before` ended, effects that begin `afresh` from
+        their nominal values; None where that is not possible.
 
         Errors further ahead are tried where the likelihood foretells poorly.
         """
@@ -365,7 +375,7 @@ class _Decider:
         if before is None:
             options = options.but(initialisation="equation-error")
         else:
-            dropped = set(_names(before.steps)) - set(_names(steps))
+            dropped = {*afresh, *_names(before.steps)} - (set(_names(steps)) - set(afresh))
             options = _from(before.fit, before.likelihood, options, dropped)
         try:
             model, options = self._one_library(steps, options)
@@ -410,46 +420,55 @@ class _Decider:
             build=(*free, *self.considered),
         )
 
-    def _smallest_good(
+    def _nested(
         self,
         steps: tuple[Step, ...],
         options: FitOptions,
         first: Candidate,
         parts: tuple[Dataset, Dataset],
-    ) -> Candidate:
-        """Of `first` and the larger sets up to all `steps`."""
+    ) -> list[Candidate]:
+        """`first`, the smallest set, and the larger ones up to all `steps`."""
         tried = [first]
         for i in range(len(first.steps), len(steps) + 1):
-            got = (
-                first if i == len(first.steps) else self._try(steps[:i], options, tried[-1], parts)
-            )
+            got = first if i == 1 else self._try(steps[:i], options, tried[-1], parts)
             if got is not None:
                 tried = [*tried, got] if got is not first else tried
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
-        best = min(tried, key=lambda c: c.score.mean)
-        chosen = next((c for c in tried if _as_good(c, best)), best)
+        return tried
+
+    def _without_unfelt(
+        self,
+        chosen: Candidate,
+        options: FitOptions,
+        best: Candidate,
+        parts: tuple[Dataset, Dataset],
+    ) -> Candidate:
+        """`chosen` without what nothing feels, where that foretells as well as `best`."""
         kept = _felt_steps(chosen)
-        if kept != chosen.steps:
-            less = self._try(kept, options, chosen, parts)
-            if less is not None and _as_good(less, best):
-                chosen = less
+        if kept == chosen.steps:
+            return chosen
+        less = self._try(kept, options, chosen, parts)
+        return less if less is not None and _as_good(less, best) else chosen
+
+    def _say_effects(self, chosen: Candidate, tried: list[Candidate]) -> None:
+        if self.given.effects is not None:
+            return
         listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
-        if self.given.effects is None:
-            self._note(
-                "effects",
-                _listed(chosen.steps),
-                "the smallest set within one standard error of the "
-                "best on pieces left out; squared error ahead over that of holding the last value, "
-                f"step by step: {listed}",
-                "--effects, --per-flight",
-            )
-        return chosen
+        self._note(
+            "effects",
+            _listed(chosen.steps),
+            "of the sets within one standard error of the best on pieces left out the one with the "
+            "lowest BIC, less what nothing feels; squared error ahead over that of holding the last "
+            f"value, step by step: {listed}",
+            "--effects, --per-flight",
+        )
 
     def _filters(
         self, options: FitOptions, first: Candidate, parts: tuple[Dataset, Dataset]
     ) -> tuple[FitOptions, Candidate]:
-        """Filters and colour of gyro and accelerometer where BIC clearly asks for them. A pose that
-        is as late as a filtered IMU hides it: the two are tried together."""
+        """Filters and colour of gyro and accelerometer where BIC clearly asks for them, with the
+        effects that were `first` chosen: colour would take what they explain. A pose that is as
+        late as a filtered IMU hides it: the two are tried together."""
         if "noise_parts" in self.given.choices:
             return options, first
         offered = () if self.kinematic_noise else offered_parts(first.likelihood)
@@ -459,12 +478,13 @@ class _Decider:
         elif not offered:
             reason = "the innovations of the IMU are white"
         steps = first.steps
-        if offered and self._pose_may_be_late():
+        if offered and self._pose_may_be_late() and not set(_names(steps)) & set(names_of(LATE_POSE)):
             clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
-            again = self._try(steps, own, first, parts)
+            # a delay has taken what a filter is late: it lets go, or the search stays where it was
+            again = self._try(steps, own, first, parts, afresh=TAKES_LATENESS)
             if again is None:
                 reason = "no fit with one"
                 break
@@ -473,8 +493,7 @@ class _Decider:
                 offered = felt
                 continue
             gain = first.likelihood.bic - again.likelihood.bic
-            better, error = again.score.better_by(first.score)
-            if gain > CLEAR_EVIDENCE and better > -error:
+            if gain > CLEAR_EVIDENCE:
                 self._note(
                     "noise of the IMU",
                     ", ".join(described(p, again.likelihood) for p in offered),
@@ -484,7 +503,7 @@ class _Decider:
                     "--noise-parts",
                 )
                 return own, again
-            reason = f"BIC falls by {gain:.0f}, the score ahead by {better:.3f} +- {error:.3f}"
+            reason = f"BIC falls by {gain:.0f} only"
             break
         self._note("noise of the IMU", "white", reason, "--noise-parts")
         return options, first

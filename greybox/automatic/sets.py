@@ -43,7 +43,13 @@ BASE = Step(
 STEPS = (
     Step(
         name="air and battery",
-        effects=("battery_sag", "rotor_drag", "blade_flapping", "rotational_damping"),
+        effects=(
+            "battery_sag",
+            "rotor_drag",
+            "axial_inflow",
+            "blade_flapping",
+            "rotational_damping",
+        ),
     ),
     Step(
         name="trim of each flight",
@@ -89,6 +95,7 @@ def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
         return False
     if name in (
         "rotor_drag",
+        "axial_inflow",
         "blade_flapping",
     ):  # proportional to a velocity that something must show
         return bool(facts.sensors & {"position", "velocity"})

@@ -78,8 +78,20 @@ class Dynamics(Protocol):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """State one sample later, n_x, for the command window (n_u x (past + 1 + future)) and process noise w."""
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """Outputs y at the sample, n_y, given the command window and the process noise of the step that begins."""
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
+        """Outputs y at the sample, n_y, given the command window and the process noise w of the step that begins.
+
+        `lasting` (n_w), where given, pushes through the same channels, now and before: a late sensor goes back under it.
+        """
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Innovation e, n_e, of the measured y against the predicted y_hat at the predicted state x."""
@@ -213,7 +225,16 @@ class StateSpaceModel:
             x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return x
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """The outputs do not see the process noise of the coming step."""
         return self.h(t, x, window, p)
 

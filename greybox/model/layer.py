@@ -122,9 +122,18 @@ class Layer(Shown, ABC):
         """State of the base one sample later."""
         return self.base.step(t, x, window, p, w, dt)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs of the base at the sample."""
-        return self.base.output(t, x, window, p, w, dt)
+        return self.base.output(t, x, window, p, w, dt, lasting)
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Innovation of the base."""

@@ -19,7 +19,7 @@ from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.model.parameter import Parameter
-from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
 
 SCHEMA = "greybox.linear_model/1"
 LONGEST_DELAY = 10_000
@@ -150,9 +150,18 @@ class LinearModel:
         """Next state with innovation w; `dt` is the sample time of the model and is not used."""
         return self.f(t, x, self._delayed(window), p, w)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs with innovation w."""
-        return self.h(t, x, self._delayed(window), p, w)
+        return self.h(t, x, self._delayed(window), p, sum_of(w, lasting))
 
     def _delayed(self, window: Expr) -> Expr:
         past = self.window[0]

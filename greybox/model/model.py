@@ -396,7 +396,7 @@ class PhysicsModel(Shown):
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """Noise-free outputs at the command u (n_u); w (n_w), where given, pushes as noise does."""
         values = self._values(p)
-        return self._outputs(x, u, self._clocks.held(u, values), values, w)
+        return self._outputs(x, u, self._clocks.held(u, values), values, None, w)
 
     def _outputs(
         self,
@@ -405,9 +405,11 @@ class PhysicsModel(Shown):
         passages: Mapping[Instant, Passage],
         values: Mapping[str, Expr],
         w: Expr,
+        lasting: Expr,
     ) -> Expr:
         blocks, nu = self._split(x)
-        readings = self._clocks.readings(blocks, nu, u, passages, values, self._noise(w))
+        noise, push = self._noise(w), self._noise(lasting)
+        readings = self._clocks.readings(blocks, nu, u, passages, values, noise, push)
         return ca.vertcat(*(readings[s.name] for s in self.sensors))
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
@@ -436,7 +438,16 @@ class PhysicsModel(Shown):
         after["attitude"] = quat_normalize(after["attitude"])
         return self._join(after, end)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs at the sample; the force noise of the coming step reaches the accelerometer.
 
         Rotors with a lag show their speed at t_k; rotors without one that of the step that begins.
@@ -444,7 +455,7 @@ class PhysicsModel(Shown):
         values = self._values(p)
         u = self._commands.sampled(window, self._clocks.command_age(OWN, values), dt)
         passages = self._clocks.passages(self._commands, window, values, dt)
-        return self._outputs(x, u, passages, values, w)
+        return self._outputs(x, u, passages, values, w, lasting)
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Per sensor; world vectors are turned into body axes, attitudes give delta_theta."""

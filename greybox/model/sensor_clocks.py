@@ -147,17 +147,19 @@ class SensorClocks:
         passages: Mapping[Instant, Passage],
         values: Mapping[str, Expr],
         w: Expr,
+        lasting: Expr,
     ) -> dict[str, Expr]:
-        """Readings by sensor name, of states `x` and rotors `nu` that the command u drives."""
+        """Readings by sensor name, of states `x` and rotors `nu` that the command u drives, under the
+        noise `w` of the coming step and what pushes now and before."""
         rotors = self.body.rotors
         goal = rotors.goal(u, values)
         rate = rotors.rate(nu, goal, values)
         force, _, flow = self.body.accelerations(
-            x, nu if rotors.have_lag else goal, rate, u, values, w
+            x, nu if rotors.have_lag else goal, rate, u, values, w + lasting
         )
         shown = self.shown(flow, force, x, values)
         for at in self.apart:
-            seen = self.shown(*self.state_at(passages[at], x, nu, values, w), values)
+            seen = self.shown(*self.state_at(passages[at], x, nu, values, w, lasting), values)
             shown |= {name: seen[name] for name in self.instants[at]}
         return shown
 
@@ -176,16 +178,22 @@ class SensorClocks:
         return readings
 
     def state_at(
-        self, way: Passage, x: Mapping[str, Expr], nu: Expr, values: Mapping[str, Expr], w: Expr
+        self,
+        way: Passage,
+        x: Mapping[str, Expr],
+        nu: Expr,
+        values: Mapping[str, Expr],
+        w: Expr,
+        lasting: Expr,
     ) -> tuple[Flow, Expr, dict[str, Expr]]:
         """(flow, specific force [m/s^2], states) at the end of `way`, from states `x` and rotors
         `nu` at its start.
 
-        Bodies move by the midpoint rule, rotors exactly. The noise of the coming step acts ahead of
-        the states alone.
+        Bodies move by the midpoint rule, rotors exactly. The noise `w` of the coming step acts ahead
+        of the states alone, what is `lasting` on both sides.
         """
         rotors, back = self.body.rotors, way.age
-        w = ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))
+        w = lasting + ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))
         u, goal, soon = way.mean, rotors.goal(way.mean, values), rotors.goal(way.early, values)
         if rotors.have_lag:
             # Backwards a settled rotor would run away: there the lag counts as no shorter than

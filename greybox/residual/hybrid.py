@@ -125,6 +125,15 @@ class HybridModel(LearnedPush):
         """One sample with the learned push held over it."""
         return self.inner.step(t, x, window, p, self._push(x, window, w), dt)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs see the learned push as they see the process noise of its channel."""
-        return self.inner.output(t, x, window, p, self._push(x, window, w), dt)
+        return self.inner.output(t, x, window, p, w, dt, self._push(x, window, lasting))

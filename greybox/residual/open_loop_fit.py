@@ -64,7 +64,7 @@ from greybox.residual.weight_space import (
     weighted,
     whitened,
 )
-from greybox.symbolic import Expr, FloatArray, evaluate
+from greybox.symbolic import Expr, FloatArray, evaluate, sum_of
 
 HORIZONS = (1, 2, 5, 10, 20, 35, 50)
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
@@ -104,10 +104,20 @@ class WeightedHybrid(HybridModel):
         push = self._spread @ self._weighted(x, window, p)
         return self.inner.step(t, x, window, p[: len(self.inner.parameters)], w + push, dt)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Outputs under the weighted push."""
         push = self._spread @ self._weighted(x, window, p)
-        return self.inner.output(t, x, window, p[: len(self.inner.parameters)], w + push, dt)
+        own = p[: len(self.inner.parameters)]
+        return self.inner.output(t, x, window, own, w, dt, sum_of(push, lasting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

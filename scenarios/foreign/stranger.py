@@ -1,5 +1,5 @@
-"""The vehicle file of somebody who weighed the craft, guessed its inertia and read the rotors off a
-data sheet."""
+"""The vehicle file of somebody who weighed the craft roughly, guessed its inertia and read the
+rotors off a data sheet."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ class Knowledge:
     """Factors of the nominal numbers (mass; inertia of three axes; thrust; torque), and what the
     file says at all.
 
-    sigmas: whether numbers have their standard deviations (schema 1) or stand bare (schema 2, where
-    a bare number is believed within a default). noise: whether the file has the sensors' white
+    sigmas: whether numbers have their standard deviations or stand bare (a bare number is believed
+    within a default). The mass always says how sure it is: a bare one
+    claims a kitchen scale, three times better than what is drawn here. noise: whether the file has the sensors' white
     noise.
     """
 
@@ -84,14 +85,12 @@ def vehicle_text(frame: Airframe, known: Knowledge, sensors: SensorNoise) -> str
     said = nominal_values(frame, known)
     moments = [said[f"inertia.{axis}"] for axis in ("xx", "yy", "zz")]
     rows = [[moments[0], 0.0, 0.0], [0.0, moments[1], 0.0], [0.0, 0.0, moments[2]]]
-    mass = _number(said["mass"])
-    if known.sigmas:
-        mass = f"{{ value = {mass}, sigma = {_number(MASS_ERROR * said['mass'])} }}"
+    mass, doubt = _number(said["mass"]), _number(MASS_ERROR * said["mass"])
     lines = [
-        f'schema = "greybox.vehicle/{1 if known.sigmas else 2}"',
+        'schema = "greybox.vehicle/2"',
         f'name = "{frame.name}"',
         f"gravity = {frame.gravity!r}",
-        f"mass = {mass}",
+        f"mass = {{ value = {mass}, sigma = {doubt} }}",
         f"inertia = [{', '.join(_row(row) for row in rows)}]",
     ]
     if known.sigmas:

@@ -10,7 +10,7 @@ from greybox.commands import export as command
 from tests.docs.pages import ROOT
 
 README = (ROOT / "README.md").read_text()
-EXPORT = (ROOT / "docs" / "export.md").read_text()
+BUNDLE = (ROOT / "docs" / "bundle.md").read_text()
 GPYTORCH = (ROOT / "docs" / "gpytorch.md").read_text()
 EVERY = "tests/mpc_export/test_every_fitted_thing_exports.py"
 IDENTIFIED = "tests/mpc_export/test_bundles_compute_in_c_what_casadi_does.py"
@@ -81,7 +81,7 @@ def test_every_kind_of_fitted_thing_in_the_table_of_export_is_a_case_of_the_test
     from tests.mpc_export.predictor_cases import ALONE, PREDICTORS
 
     cases = " ".join({**PREDICTORS, **ALONE})
-    rows = re.findall(r"^\| (.*?) \| ", EXPORT.split("| what is fitted |")[1].split("\n\n")[0], re.MULTILINE)
+    rows = re.findall(r"^\| (.*?) \| ", BUNDLE.split("| what is fitted |")[1].split("\n\n")[0], re.MULTILINE)
     words = {"output hybrid": "output hybrid", "linear": "linear", "NARX": "NARX", "LSTM": "LSTM", "a GP alone": "GP alone"}
     identified = [r for r in rows if "physics" in r or set(r) <= set("-| ")]
     for row in (r for r in rows if r not in identified):
@@ -95,7 +95,7 @@ def test_the_functions_in_the_table_are_functions_of_some_case():
     from tests.mpc_export import cases
     from tests.mpc_export.predictor_cases import PREDICTORS
 
-    table = EXPORT.split("## Functions")[1].split("\n\n")[1]
+    table = BUNDLE.split("## Functions")[1].split("\n\n")[1]
     named = {n for row in table.splitlines() for n in re.findall(r"`(\w+)`", row.split("|")[1])}
     models = [cases.hybrid(), PREDICTORS["output hybrid, SISO"](), PREDICTORS["LSTM"]()]
     made: set[str] = set()

@@ -136,8 +136,8 @@ def test_a_file_without_sigmas_has_bare_numbers_and_the_schema_that_believes_the
     text = drawing.vehicle_text(drawn.craft.airframe, drawn.knowledge, drawn.sensors)
     file = tomllib.loads(text)
     assert file["schema"] == "greybox.vehicle/2"
-    assert "sigma" not in text
-    assert isinstance(file["mass"], float)
+    assert text.count("sigma") == 1
+    assert file["mass"]["sigma"] == pytest.approx(0.03 * file["mass"]["value"], rel=1e-5)
 
 
 def test_a_draw_repeats_itself():

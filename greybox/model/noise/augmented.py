@@ -24,7 +24,7 @@ from greybox.model.layer import Layer, layers
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.part import NoisePart, Place, SensorPart
 from greybox.model.parameter import Parameter
-from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
 
 START_STEP = 0.01
 """Sample time [s] whose typical noise levels are the spread of own states at the start of a
@@ -176,13 +176,17 @@ class Augmented(Layer):
         n = len(self.core.parameters) + placed.quantities.start
         return {q: p[n + i] for i, q in enumerate(placed.part.quantities)}
 
+    def _white(self, w: Expr) -> Expr:
+        """White process noise of the core."""
+        return None if w is None else w[: len(self.core.noises)]
+
+    def _push(self, own: Expr) -> Expr:
+        """What the disturbances push, in the channels of the core's process noise."""
+        return self._pushes @ own if self._pushes.nnz() else None
+
     def _pushed(self, own: Expr, w: Expr) -> Expr:
         """Process noise of the core with the disturbances on top."""
-        white = None if w is None else w[: len(self.core.noises)]
-        if not self._pushes.nnz():
-            return white
-        push = self._pushes @ own
-        return push if white is None else white + push
+        return sum_of(self._white(w), self._push(own))
 
     def _of_sensor(self, placed: _Placed, y: Expr) -> Expr:
         """Readings of the part's sensor; None for parts of other places and where nothing reads
@@ -228,7 +232,7 @@ class Augmented(Layer):
         core, own = self._split(x)
         pushed, driving = self._pushed(own, w), w[len(self.core.noises) :]
         y = (
-            self.core.output(t, core, window, self._core_p(p), pushed, dt)
+            self.core.output(t, core, window, self._core_p(p), self._white(w), dt, self._push(own))
             if self._filters
             else None
         )
@@ -244,11 +248,21 @@ class Augmented(Layer):
         ]
         return ca.vertcat(self.core.step(t, core, window, self._core_p(p), pushed, dt), *after)
 
-    def output(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
         """Core's outputs under the disturbances, those of filtered sensors through their filter."""
         core, own = self._split(x)
         driving = w[len(self.core.noises) :]
-        y = self.core.output(t, core, window, self._core_p(p), self._pushed(own, w), dt)
+        white, push = self._white(w), sum_of(self._push(own), lasting)
+        y = self.core.output(t, core, window, self._core_p(p), white, dt, push)
         readings = {}
         for a in self._filters:
             assert isinstance(a.part, SensorPart)
