@@ -47,7 +47,6 @@ STEPS = (
             "battery_sag",
             "rotor_drag",
             "axial_inflow",
-            "parasitic_drag",
             "blade_flapping",
             "rotational_damping",
         ),
@@ -97,7 +96,6 @@ def _felt(name: str, vehicle: Vehicle, facts: Facts) -> bool:
     if name in (
         "rotor_drag",
         "axial_inflow",
-        "parasitic_drag",
         "blade_flapping",
     ):  # proportional to a velocity that something must show
         return bool(facts.sensors & {"position", "velocity"})

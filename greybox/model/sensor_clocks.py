@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import casadi as ca
@@ -34,11 +33,6 @@ class Instant(NamedTuple):
     delay: float
 
 
-PARTS = 3
-"""Equal parts of the way to another instant, over each of which the command is its mean: of 20 ms
-at 100 Hz the step of the command falls into one of them."""
-BACKWARDS = 3.0
-"""Time constants that rotors are followed back: an error of their speed grows by exp of it."""
 OWN = Instant(STATE_CLOCK, 0.0)
 """The instant of the states."""
 
@@ -49,12 +43,10 @@ class Passage:
     it).
 
     `mean` is the mean command on the way, which moves velocities; `early` the mean weighted by the
-    way that remains, which moves positions; `parts` the means over `PARTS` equal parts of the way,
-    from the states on; `end` the command at the other instant.
+    way that remains, which moves positions; `end` the command at the other instant.
     """
 
     age: Expr
-    parts: tuple[Expr, ...]
     mean: Expr
     early: Expr
     end: Expr
@@ -129,10 +121,8 @@ class SensorClocks:
         for at in self.apart:
             end = self.command_age(at, values)
             mean, early = commands.mean(window, start, end, dt)
-            edges = [start + (end - start) * i / PARTS for i in range(PARTS + 1)]
             out[at] = Passage(
                 age=self.lateness(at, values) - own,
-                parts=tuple(commands.mean(window, *e, dt)[0] for e in pairwise(edges)),
                 mean=mean,
                 early=early,
                 end=commands.sampled(window, end, dt),
@@ -143,9 +133,7 @@ class SensorClocks:
         """The same where the command u has always been held."""
         own = self.lateness(OWN, values)
         return {
-            at: Passage(
-                age=self.lateness(at, values) - own, parts=(u,) * PARTS, mean=u, early=u, end=u
-            )
+            at: Passage(age=self.lateness(at, values) - own, mean=u, early=u, end=u)
             for at in self.apart
         }
 
@@ -206,12 +194,19 @@ class SensorClocks:
         """
         rotors, back = self.body.rotors, way.age
         w = lasting + ca.if_else(back < 0, w, ca.DM.zeros(w.shape[0]))
+        u, goal, soon = way.mean, rotors.goal(way.mean, values), rotors.goal(way.early, values)
         if rotors.have_lag:
-            middle, early, nu_rate, end = self.rotors_on(way, nu, values)
+            # Backwards a settled rotor would run away: there the lag counts as no shorter than
+            # the way.
+            tau = positive(rotors.lag_over(nu - goal, values))
+            tau = ca.if_else(back > 0, ca.fmax(tau, back), tau)
+            nu_rate = (goal - nu) / ca.fmax(tau, ca.fabs(back))
+            mean, early = path_means(-back / tau)
+            middle, early = goal + (nu - goal) * mean, goal + (nu - goal) * early
+            end = goal + (nu - goal) * ca.exp(back / tau)
         else:
-            middle, early, end = (rotors.goal(u, values) for u in (way.mean, way.early, way.end))
-            nu_rate = end * 0
-        u = way.mean
+            middle, early, nu_rate = goal, soon, goal * 0
+            end = rotors.goal(way.end, values)
         d = self.body.rates(x, early, nu_rate, u, values, w)
         half = {b: x[b] - 0.5 * back * d[b] for b in x}
         half["attitude"] = quat_multiply(x["attitude"], quat_exp(-0.5 * back * x["rate"]))
@@ -220,23 +215,3 @@ class SensorClocks:
         there["attitude"] = quat_multiply(x["attitude"], quat_exp(-back * half["rate"]))
         force, _, flow = self.body.accelerations(there, end, nu_rate, way.end, values, w)
         return flow, force, there
-
-    def rotors_on(
-        self, way: Passage, nu: Expr, values: Mapping[str, Expr]
-    ) -> tuple[Expr, Expr, Expr, Expr]:
-        """Speeds of rotors with a lag on `way` from `nu`: in the mean, in the mean weighted by the
-        way that remains, their mean rate [1/s], and at the end. Exact for commands that are
-        constant over each part of the way."""
-        rotors, time = self.body.rotors, -way.age / PARTS
-        shortest = ca.fmax(way.age, 0.0) / BACKWARDS
-        middle = early = rate = nu * 0
-        for left, command in zip(reversed(range(PARTS)), way.parts, strict=True):
-            goal = rotors.goal(command, values)
-            gap = nu - goal
-            tau = ca.fmax(positive(rotors.lag_over(gap, values)), shortest)
-            mean, first = path_means(time / tau)
-            middle = middle + (goal + gap * mean) / PARTS
-            early = early + (goal + gap * first + 2 * left * (goal + gap * mean)) / PARTS**2
-            rate = rate - gap * mean / tau / PARTS
-            nu = goal + gap * ca.exp(-time / tau)
-        return middle, early, rate, nu

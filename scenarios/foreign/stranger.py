@@ -25,8 +25,8 @@ class Knowledge:
     """Factors of the nominal numbers (mass; inertia of three axes; thrust; torque), and what the
     file says at all.
 
-    sigmas: whether numbers have their standard deviations (schema 1) or stand bare (schema 2, where
-    a bare number is believed within a default). The mass always says how sure it is: a bare one
+    sigmas: whether numbers have their standard deviations or stand bare (a bare number is believed
+    within a default). The mass always says how sure it is: a bare one
     claims a kitchen scale, three times better than what is drawn here. noise: whether the file has the sensors' white
     noise.
     """
@@ -87,7 +87,7 @@ def vehicle_text(frame: Airframe, known: Knowledge, sensors: SensorNoise) -> str
     rows = [[moments[0], 0.0, 0.0], [0.0, moments[1], 0.0], [0.0, 0.0, moments[2]]]
     mass, doubt = _number(said["mass"]), _number(MASS_ERROR * said["mass"])
     lines = [
-        f'schema = "greybox.vehicle/{1 if known.sigmas else 2}"',
+        'schema = "greybox.vehicle/2"',
         f'name = "{frame.name}"',
         f"gravity = {frame.gravity!r}",
         f"mass = {{ value = {mass}, sigma = {doubt} }}",

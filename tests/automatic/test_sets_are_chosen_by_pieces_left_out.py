@@ -1,4 +1,4 @@
-"""Of the sets that foretell pieces left out as well as any the likelihood chooses; thrust per flight where flights differ."""
+"""Of the sets that predict pieces left out as well as any the likelihood chooses; thrust per flight where flights differ."""
 
 from __future__ import annotations
 
