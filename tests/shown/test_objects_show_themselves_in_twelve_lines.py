@@ -208,11 +208,12 @@ def test_whatever_a_public_function_gives_back_shows_itself() -> None:
 
 def _type_checking(source: typing.Any, name: str) -> type:
     """A class that a module imports only for types."""
+    from greybox.estimation.frf_result import FrequencyResponse
     from greybox.estimation.profile import Profile
     from greybox.model.linear import LinearModel
     from greybox.residual.output_residual import OutputHybrid
 
-    return {k.__name__: k for k in (IdentifiedModel, LinearModel, OutputHybrid, Profile)}[name]
+    return {k.__name__: k for k in (FrequencyResponse, IdentifiedModel, LinearModel, OutputHybrid, Profile)}[name]
 
 
 def test_plots_give_axes_with_names() -> None:
