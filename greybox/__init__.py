@@ -43,6 +43,7 @@ _PUBLIC = {
     "fit_linear": "greybox.estimation.linear.fit",
     "profile": "greybox.commands.front_door",
     "compare": "greybox.commands.front_door",
+    "frf": "greybox.commands.front_door",
     "export": "greybox.commands.front_door",
     "identify": "greybox.commands.chain.front_door",
     "fit_report": "greybox.report.fit_report",
@@ -76,6 +77,7 @@ __all__ = [
     "fit",
     "fit_linear",
     "fit_report",
+    "frf",
     "from_gpytorch",
     "identify",
     "inspect_log",
@@ -98,7 +100,7 @@ if TYPE_CHECKING:
     from greybox import examples
     from greybox.automatic import fit
     from greybox.commands.chain.front_door import identify
-    from greybox.commands.front_door import compare, export, load, profile
+    from greybox.commands.front_door import compare, export, frf, load, profile
     from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
     from greybox.data.checks import check
     from greybox.data.inspection import inspect_log

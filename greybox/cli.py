@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 COMMANDS = (
-    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "learn",
+    "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "frf", "learn",
     "discover", "compare", "export", "twin", "mpc", "effects", "examples", "cite", "completion",
 )  # fmt: skip
 

@@ -1,4 +1,5 @@
-"""In Python what some commands do: read a file of any kind, export, compare methods, profile an unknown."""
+"""In Python what some commands do: read a file of any kind, export, compare methods, profile an unknown, a frequency
+response."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
+    from greybox.data.airframe import Airframe
+    from greybox.estimation.frf_result import FrequencyResponse
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
     from greybox.model.effect import Effect
@@ -103,3 +106,30 @@ def profile(
 
     solver = SOLVERS[str(fit.settings["solver"])]()
     return along(fit.problem, solver, fit.theta, name, flight=flight, grid=grid, level=level)
+
+
+def frf(
+    data: Dataset,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    references: Sequence[str] = (),
+    vehicle: Airframe | None = None,
+    model: IdentifiedModel | LinearModel | None = None,
+    band: tuple[float, float] | None = None,
+    window: float | None = None,
+) -> FrequencyResponse:
+    """The frequency response of flights, without a model: magnitude, phase, coherence, 95 % bands, gain and lag.
+
+    A channel is a column, a sum of columns ("a=u1+u2") or, with a `vehicle` (that of the `model`, where one is given), a
+    mixed command: roll, pitch, yaw, thrust. Name all inputs that move at once: each response is that with the others held.
+    `references` are signals that excite the loop from outside (set points, a chirp), at least as many as inputs: only what
+    they explain counts, which is right where inputs are fed back. `band` [Hz] and `window` (the longest, [s]) are chosen
+    where they are not given. The response of a `model` is put beside it. Raises `DataError` for flights that are too short
+    and channels that do not move, `UnknownNameError`, `ModelError`.
+    """
+    from greybox.estimation.frf import frf as measured
+
+    return measured(
+        data, inputs, outputs, references=references, vehicle=vehicle, model=model, band=band, window=window
+    )

@@ -22,6 +22,8 @@ from greybox.data.readers.recording import UNITS, Recording, Source, Stream
 from greybox.data.resampling import continuous_signs
 from greybox.errors import DataError, UnknownNameError
 
+EXCITATION = "chirp"
+"""Column for what the firmware added to the set points of its own accord."""
 CLOCKS = ("rate", "specific_force", "attitude", "command", "position", "velocity", "rotor_speed", "battery")
 """Groups whose stream gives the rows, the first that is there."""
 
@@ -192,12 +194,14 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
                 f"commands were logged at {stream.rate:.3g} Hz only: what was sent between two of them is not known, "
                 "and the fit will be poor (`greybox inspect` says what to set)"
             )
+    if recording.excitation is not None and recording.excitation.size == rows.size:
+        columns[EXCITATION] = recording.excitation
     for start, length in recording.dropouts[:5]:
         notes.append(f"the logger lost data for {1e3 * length:.0f} ms at t = {start - zero:.3f} s")
     if len(recording.dropouts) > 5:
         notes.append(f"... and {len(recording.dropouts) - 5} more drop-outs")
     return Table(
-        columns={n: columns[n] for n in columns if n == "t" or is_canonical(n)},
+        columns={n: columns[n] for n in columns if n in ("t", EXCITATION) or is_canonical(n)},
         rows=np.arange(1, rows.size + 1, dtype=np.int64),
         source=recording.source,
         sha256=recording.sha256,

@@ -73,8 +73,13 @@ def read_betaflight(path: Path) -> Recording:
         streams={"main": stream},
         sources=tuple(sources),
         info=_info(headers),
+        excitation=_chirp(fields, headers),
         notes=(*notes, *said),
     )
+
+
+PHASE = 5000.0
+"""Counts of debug[0] per radian of the chirp's phase."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +173,19 @@ def _warned(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Iterator[s
         yield "vbatLatest has no fixed unit before Betaflight 4.0; give [battery] scale in a mapping file"
     if "eRPM[0]" in fields and not _number(headers.get("motor_poles")):
         yield "motor_poles is not in the header; give [rotor_speed] scale in a mapping file"
+
+
+def _chirp(fields: Mapping[str, Any], headers: Mapping[str, Any]) -> Any:
+    """Sine of the chirp's phase (N,), 0 while there is none; None where debug[0] is not the phase (the number of debug_mode
+    differs between versions, so that its values tell: a phase below a turn that only goes on)."""
+    if "debug[0]" not in fields or not any(str(key).startswith("chirp_") for key in headers):
+        return None
+    phase = fields["debug[0]"] / PHASE
+    on = phase > 0
+    ahead = (np.diff(phase) % (2 * np.pi))[on[1:] & on[:-1]]
+    if not ahead.size or phase.min() < 0 or phase.max() > 2 * np.pi + 0.01 or np.mean(ahead < np.pi) < 0.95:
+        return None
+    return np.sin(phase)
 
 
 def _limits(headers: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -106,6 +106,7 @@ class Recording:
     """A log file as its reader understands it: streams, sources in order of preference, and what else it says.
 
     `info` are facts for people (firmware, craft); `dropouts` (start, length) [s] where the logger says it lost data;
+    `excitation` (N,) is what the firmware added to the set points of its own accord, on the stamps of the rows.
     `rotors` position (x, y, z) [m, FLU] and spin of every rotor where the log knows them, `parameters` the firmware's own.
     """
 
@@ -118,6 +119,7 @@ class Recording:
     dropouts: tuple[tuple[float, float], ...] = ()
     rotors: tuple[tuple[tuple[float, float, float], int], ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    excitation: FloatArray | None = None
     notes: tuple[str, ...] = ()
 
 

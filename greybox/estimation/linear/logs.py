@@ -105,7 +105,7 @@ def read_records(
     flights, notes = [], []
     dt = None
     for path in paths:
-        raw = _with_columns(read_possible(path, vehicle, mapping=mapping), inputs, outputs, os.fspath(path))
+        raw = with_columns(read_possible(path, vehicle, mapping=mapping), (*inputs, *outputs), os.fspath(path))
         cut = vehicle is not None if trim is None else trim
         flight = condition(raw, vehicle, rate=rate, trim=cut, where=os.fspath(path))
         if dt is None:
@@ -142,9 +142,12 @@ def read_records(
     return Logs(records=tuple(records), dt=dt, flights=tuple(flights), notes=tuple(notes))
 
 
-def _with_columns(raw: RawLog, inputs: Sequence[ChannelSpec], outputs: Sequence[ChannelSpec], where: str) -> RawLog:
-    """The raw log with every needed column among its channels, so that conditioning interpolates it."""
-    wanted = {column for spec in (*inputs, *outputs) for _, column in spec.terms}
+def with_columns(raw: RawLog, specs: Sequence[ChannelSpec], where: str) -> RawLog:
+    """The raw log with every needed column among its channels, so that conditioning interpolates it.
+
+    Raises `UnknownNameError` for a column that the log has not, `DataError` for text, infinite or no values.
+    """
+    wanted = {column for spec in specs for _, column in spec.terms}
     channels = {}
     for name in sorted(wanted):
         if name in raw.channels:

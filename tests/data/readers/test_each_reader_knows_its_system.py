@@ -184,6 +184,20 @@ def test_a_chirp_of_the_firmware_is_named(tmp_path: Path) -> None:
     assert any("phase of the chirp" in note for note in found.notes)
 
 
+def test_a_chirp_of_the_firmware_becomes_a_column(tmp_path: Path) -> None:
+    pytest.importorskip("orangebox")
+    phase = np.concatenate([np.zeros(N // 4), np.cumsum(np.linspace(0.02, 0.8, N - N // 4)) % (2 * np.pi)])
+    fields = {"time": np.arange(N) * 2000.0, "gyroADC[0]": np.zeros(N), "gyroADC[1]": np.zeros(N), "gyroADC[2]": np.zeros(N)}
+    settings = {"Firmware revision": "Betaflight 2025.12.1 (abc) S", "chirp_amplitude_roll": "230"}
+    other = (np.rint(5000 * phase[::-1]), np.arange(N) * 400.0)
+    for values, there in ((np.rint(5000 * phase), True), *((v, False) for v in other)):
+        (tmp_path / "f.bbl").write_bytes(w.blackbox_bytes({**fields, "debug[0]": values}, settings))
+        extra = read_table(tmp_path / "f.bbl").extra
+        assert ("chirp" in extra) == there
+        if there:
+            np.testing.assert_allclose(extra["chirp"], np.sin(phase), atol=2e-4)
+
+
 def test_of_several_flights_in_a_file_the_longest_is_read(tmp_path: Path) -> None:
     pytest.importorskip("orangebox")
     parts = [w.write_betaflight(tmp_path / "f.bbl", w.channels(rows=rows)).read_bytes() for rows in (60, N, 90)]

@@ -1,0 +1,53 @@
+"""Claim: a model's frequency response is that of its own steps: it agrees with a simulation, and with python-control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.errors import ModelError
+from greybox.model.frequency_response import response_of
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import Matrices
+from greybox.symbolic import Layout, Signal
+from tests.simulators.identified import identified
+
+FREQUENCY = np.array([0.5, 2.0, 6.0])
+
+
+def linear(delays: tuple[int, ...]) -> LinearModel:
+    a = np.array([[0.9, 0.1], [-0.05, 0.8]])
+    return LinearModel(
+        name="two",
+        matrices=Matrices(a, np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros((2, 2))),
+        noise=np.eye(2),
+        dt=0.02,
+        inputs=Layout([Signal(name=n, unit="1") for n in "ab"]),
+        outputs=Layout([Signal(name=n, unit="1") for n in "cd"]),
+        delays=delays,
+    )
+
+
+def test_a_linear_model_with_delays_agrees_with_python_control():
+    model = linear((3, 0))
+    theirs = model.to_control(include_delays=True)(np.exp(2j * np.pi * FREQUENCY * model.dt))
+    np.testing.assert_allclose(response_of(model, FREQUENCY), np.moveaxis(theirs, 2, 0), rtol=1e-9)
+    with pytest.raises(ModelError, match="below half its rate"):
+        response_of(model, np.array([30.0]))
+
+
+def test_a_craft_answers_with_its_lag_and_its_delay():
+    tau, delay = 0.05, 0.0137
+    model = identified({"motor_lag.tau": tau, "command_delay.d": delay})
+    hover = model.dynamics.reference({f"u{i}": 0.7 for i in range(1, 5)})
+    h = response_of(replace(model, reference_state=hover), FREQUENCY)
+    p, nu = model.dynamics.innovations["p"], hover[model.dynamics.states["rotor.1"]]
+    roll = h[:, p, :4] @ np.sign([r.position[1] for r in model.physics.vehicle.rotors])
+    gain = 4 * 0.1 * 10 * nu / 0.01  # four rotors at 0.1 m, thrust 5 nu^2, 0.01 kg m^2
+    s = 2j * np.pi * FREQUENCY
+    held = (1 - np.exp(-s * model.sample_time)) / (s * model.sample_time)
+    np.testing.assert_allclose(
+        roll, gain * held * np.exp(-s * delay) / (s * (1 + tau * s)), rtol=0.02
+    )
