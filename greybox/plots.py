@@ -71,6 +71,24 @@ def panels(
     return axes
 
 
+def bars(values: Mapping[str, float], *, x: str, threshold: float, ax: Axes | None = None) -> Axes:
+    """One bar per name, and a dashed line at `threshold`. Raises `GreyboxError` without names."""
+    if not values:
+        raise GreyboxError("there is nothing to plot", fix="a search that judged a cause")
+    if ax is None:
+        from matplotlib import pyplot as plt
+
+        size = (PANEL[0], 0.28 * len(values) + 1.0)
+        _, ax = plt.subplots(figsize=size, layout="constrained")
+    place = np.arange(len(values))[::-1]
+    ax.barh(place, list(values.values()), height=0.6)
+    ax.axvline(threshold, color="0.3", linestyle="--", linewidth=1.0)
+    ax.set_yticks(place, labels=list(values))
+    ax.set_xlabel(x)
+    ax.grid(alpha=0.3)
+    return ax
+
+
 def deviations(
     names: Sequence[str], values: FloatArray, errors: FloatArray, *, x: str, ax: Axes | None = None
 ) -> Axes:

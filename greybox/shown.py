@@ -2,15 +2,17 @@
 
 A class of the public interface inherits `Shown` and says its text and, where it has one, its table.
 It then prints at most `LINES` lines, draws itself as HTML in a notebook and hands its table to
-pandas. A dataclass must say `repr=False`, or its own repr comes first.
+pandas, which is imported only then. A dataclass must say `repr=False`, or its own repr comes first.
 """
 
 from __future__ import annotations
 
 import html
-import importlib.util
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from greybox.distribution import install_line
+from greybox.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -47,14 +49,15 @@ class Shown:
             body = f"<pre>{html.escape(shortened(rest))}</pre>"
         return f"<div><p><b>{html.escape(first)}</b></p>{body}</div>"
 
-    def to_frame(self) -> DataFrame | dict[str, list[Cell]]:
-        """The table as a pandas DataFrame; where pandas is not installed as columns by name."""
-        columns = columns_of(self._shown_rows())
-        if importlib.util.find_spec("pandas") is None:
-            return columns
-        import pandas as pd
-
-        return pd.DataFrame(columns)
+    def to_frame(self) -> DataFrame:
+        """The table as a pandas DataFrame. Raises `MissingExtraError` where pandas is not installed."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtraError(
+                "a DataFrame needs pandas, which is not installed", fix=install_line("notebook")
+            ) from None
+        return pd.DataFrame(columns_of(self._shown_rows()))
 
 
 def shortened(text: str, lines: int = LINES) -> str:

@@ -23,7 +23,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path, PurePosixPath
@@ -45,7 +45,7 @@ from greybox.model.sensors import SENSORS
 from greybox.residual.files import model_to_dict
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
-from greybox.shown import Shown
+from greybox.shown import Cell, Shown
 from mpc_export.c_code import write_c
 from mpc_export.c_kernels import gp_kernels
 from mpc_export.c_model import CModel, check_name
@@ -87,6 +87,17 @@ class ExportBundle(Shown):
         functions = [str(f["name"]) for f in self.manifest["functions"]]
         first = f"{self.name}: bundle of {len(functions)} functions in {self.folder}"
         return "\n".join([first, f"  {', '.join(functions)}", f"  {len(self.manifest['files'])} files"])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per function: what it takes and gives, with sizes."""
+
+        def ports(given: Sequence[Mapping[str, Any]]) -> str:
+            return ", ".join(f"{p['name']} ({p['rows']}, {p['columns']})" for p in given)
+
+        return [
+            {"function": f["name"], "arguments": ports(f["arguments"]), "results": ports(f["results"])}
+            for f in self.manifest["functions"]
+        ]
 
     @property
     def name(self) -> str:

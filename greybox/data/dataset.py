@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Flight:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Flight(Shown):
     """One flight (one log): its segments in order of time and where they came from.
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
@@ -81,8 +81,21 @@ class Flight:
                 kept.append(segment.between(t0, t1))
         return replace(self, segments=tuple(kept)) if kept else None
 
-    def __repr__(self) -> str:
-        return f"Flight({self.name}, {len(self.segments)} segment(s), {self.n} samples of {self.dt:g} s)"
+    def _shown_text(self) -> str:
+        """What it is, its channels, and what conditioning did."""
+        what = f"Flight {self.name}: {len(self.segments)} segment(s), {self.n} samples of {self.dt:g} s"
+        return "\n".join([what, f"  {', '.join(self.channels)}", *(f"  {n}" for n in self.notes)])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per segment."""
+        return [
+            {"start [s]": float(s.t[0]), "seconds": s.duration, "samples": s.n, "channels": len(s.channels)}
+            for s in self.segments
+        ]
+
+    def plot(self, channels: Sequence[str] | None = None, ax: Sequence[Axes] | None = None) -> list[Axes]:
+        """Channels over time, one panel per unit; matplotlib axes. Raises `UnknownNameError`."""
+        return Dataset(flights=(self,)).plot(channels, ax=ax)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -21,6 +21,7 @@ from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
 from greybox.errors import GreyboxError
+from greybox.shown import Cell, Shown
 
 SCHEMA = "greybox.inspect/1"
 
@@ -74,8 +75,8 @@ class MissingGroup:
     advice: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Inspection:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Inspection(Shown):
     """What `inspect_log` found. `raw` is the log in canonical channels, None where `problem` says why it cannot be."""
 
     format: LogFormat
@@ -100,6 +101,28 @@ class Inspection:
         if self.unfit:
             return f"NOT USABLE: {'; '.join(self.unfit)}"
         return "usable for a fit"
+
+    def _shown_text(self) -> str:
+        """The verdict, then what is there and what is missing."""
+        lines = [self.verdict, f"{self.recording.source}: {self.format.title}"]
+        lines += [f"  {g.group}: {g.rate:.0f} Hz{'' if g.enough else ', too slow'}" for g in self.groups]
+        return "\n".join([*lines, *(f"  missing: {m.group} ({m.reason})" for m in self.missing)])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per channel group: there and how often, or missing and what would provide it."""
+        rows: list[dict[str, Cell]] = [
+            {
+                "group": g.group, "channels": ", ".join(g.channels), "rate [Hz]": g.rate, "known": g.share,
+                "enough": g.enough, "advice": "",
+            }
+            for g in self.groups
+        ]  # fmt: skip
+        seen = {g.group for g in self.groups}
+        return rows + [
+            {"group": m.group, "channels": ", ".join(m.channels), "enough": False, "advice": m.advice}
+            for m in self.missing
+            if m.group not in seen
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values (schema "greybox.inspect/1")."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError, UnknownNameError
+from greybox.shown import Cell, Shown
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -31,8 +32,8 @@ def _frozen_floats(values: Any, n: int, what: str, flight: str) -> FloatArray:
     return array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Segment:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Segment(Shown):
     """Samples at t_0 + k dt. All arrays are (N,), read-only copies; NaN = missing.
 
     `t` [s] is uniform (float64); `channels` are canonical names in SI units (a model of the user's own may use any
@@ -112,6 +113,25 @@ class Segment:
         """Names of the channels."""
         return tuple(self.channels)
 
+    def _shown_text(self) -> str:
+        """What it is, and its channels."""
+        what = f"Segment of {self.flight}: {self.n} samples at {1 / self.dt:.6g} Hz"
+        return f"{what}, t = {self.t[0]:.6g} to {self.t[-1]:.6g} s\n  {', '.join(self.names)}"
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per channel: smallest, mean and largest value and the share that is missing."""
+        rows: list[dict[str, Cell]] = []
+        for name, values in self.channels.items():
+            known = values[np.isfinite(values)]
+            least, mean, most = (
+                (float(known.min()), float(known.mean()), float(known.max()))
+                if known.size
+                else (None, None, None)
+            )
+            missing = 1.0 - known.size / self.n
+            rows.append({"channel": name, "min": least, "mean": mean, "max": most, "missing": missing})
+        return rows
+
     def column(self, name: str) -> FloatArray:
         """One channel (or numeric extra column), (N,), read-only. Raises `UnknownNameError`."""
         if name in self.channels:
@@ -162,6 +182,3 @@ class Segment:
         """A copy with these channels set or added, (N,) each."""
         merged = {**self.channels, **{k: np.asarray(v, dtype=np.float64) for k, v in channels.items()}}
         return Segment(t=self.t, channels=merged, flight=self.flight, extra=self.extra, earlier=self.earlier)
-
-    def __repr__(self) -> str:
-        return f"Segment({self.flight}, {self.n} samples of {self.dt:g} s, {', '.join(self.names)})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,12 @@ from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
+from greybox.plots import bars
+from greybox.shown import Cell, Shown
 from greybox.validation.gap import GapRow
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = "greybox.discovery/2"
 WITH_LAWS = "model_with_laws.json"
@@ -32,8 +37,8 @@ SAYS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Discovery:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Discovery(Shown):
     """What was found: `verdict` is a key of `SAYS`, `names` everything that was asked, `fit` the
     final structure, `left` what its unnamed force and torque hold. `bar` is the log e-value that a
     name needs, `lawful` the model with the laws of what is left (None without one)."""
@@ -69,6 +74,33 @@ class Discovery:
                 "no model: the data have blocking faults", fix="mend the log, then run again"
             )
         return self.fit.model if self.plain is None else self.plain
+
+    def _shown_text(self) -> str:
+        """The verdict in words."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per cause that was judged: the log10 e-value of leaving it out, and the share of
+        the squared error ahead that it removes."""
+        return [
+            {
+                "cause": n.name,
+                "status": n.status,
+                "log10 e": n.certificate.rivals.get((), float("nan")) / LOG10,
+                "removes": None if n.worth is None else n.worth.share,
+                "of": None if n.worth is None else n.worth.group,
+                "horizon [s]": None if n.worth is None else n.worth.horizon,
+                "reason": n.reason,
+            }
+            for n in self.names
+        ]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """The log10 e-value of every cause that was judged, against leaving it out, and the bar that
+        a name needs; matplotlib axes. Raises `GreyboxError` where none was judged."""
+        rows = [(f"{r['cause']} ({r['status']})", r["log10 e"]) for r in self._shown_rows()]
+        held = [(n, float(v)) for n, v in rows if isinstance(v, float) and np.isfinite(v)]
+        return bars(dict(held), x="log10 e-value", threshold=self.bar / LOG10, ax=ax)
 
     def said(self, *status: str) -> list[Name]:
         """Names of some status, in the order of the catalogue."""

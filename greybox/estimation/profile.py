@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.interpolate
@@ -19,7 +20,12 @@ import scipy.stats
 from greybox.errors import UnknownNameError
 from greybox.estimation.problem import Problem, Unknown, Value
 from greybox.estimation.solver import Solver
+from greybox.plots import Curve, panels
+from greybox.shown import Cell, Shown
 from greybox.symbolic import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,8 +85,8 @@ class Slice:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Profile:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Profile(Shown):
     """Profile of one unknown: grid (m,) in its unit (levels, not logarithms, of noise), cost (m,), converged (m,).
 
     `lower` and `upper` end the likelihood-ratio interval at `level`; an end is the bound where the profile reaches it
@@ -97,6 +103,31 @@ class Profile:
     level: float
     lower: float
     upper: float
+
+    def _shown_text(self) -> str:
+        """The estimate and its interval."""
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
+        flight = "" if self.flight is None else f" of {self.flight}"
+        ends = f"{self.lower:.5g} to {self.upper:.5g}{unit}"
+        failed = int((~self.converged).sum())
+        lines = [f"{self.name}{flight} = {self.estimate:.5g}{unit}, {self.level:.0%} interval {ends}"]
+        lines += [f"warning: {failed} of {self.grid.size} points did not converge"] if failed else []
+        return "\n".join([*lines, f"profile likelihood at {self.grid.size} points"])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per point: value, cost above the least, whether the others converged."""
+        least = float(np.nanmin(self.cost))
+        return [
+            {self.name: float(v), "cost above the least": float(c) - least, "converged": bool(ok)}
+            for v, c, ok in zip(self.grid, self.cost, self.converged, strict=True)
+        ]
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """The cost above its least along the profile; matplotlib axes."""
+        unit = "" if self.unit in ("", "1") else f" [{self.unit}]"
+        curve = Curve(label="", x=self.grid, y=self.cost - float(np.nanmin(self.cost)))
+        rows = {"cost above the least": [curve]}
+        return panels(rows, x=f"{self.name}{unit}", ax=None if ax is None else [ax])[0]
 
 
 def profile(

@@ -19,6 +19,7 @@ from greybox.errors import FileFormatError, ModelError
 from greybox.files import checksum, read_json, to_plain, write_json
 from greybox.model.matrices import Matrices, spectral_radius
 from greybox.model.parameter import Parameter
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
 
 SCHEMA = "greybox.linear_model/1"
@@ -26,8 +27,8 @@ LONGEST_DELAY = 10_000
 """Samples; a step of the model sees so many commands."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearModel:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LinearModel(Shown):
     """A (n, n), B (n, m), C (p, n), D (p, m), K (n, p), Lambda (p, p), sample time `dt` [s], names and operating point.
 
     `delays` are whole samples per input; `input_offset` (m,) and `output_offset` (p,) are the operating point in the
@@ -73,6 +74,32 @@ class LinearModel:
         if len(delays) != m or not 0 <= min(delays, default=0) <= max(delays, default=0) <= LONGEST_DELAY:
             raise ModelError(f"{self.name}: delays {delays}", expected=f"{m} whole numbers from 0 to {LONGEST_DELAY}")
         object.__setattr__(self, "delays", delays)
+
+    def _shown_text(self) -> str:
+        """Size, channels and how fast it forgets."""
+        lines = [
+            f"{self.name}: linear model of order {self.order}, sample time {self.dt:g} s",
+            f"  inputs {', '.join(self.inputs.names) or 'none'}; delays {', '.join(map(str, self.delays)) or 'none'}",
+            f"  outputs {', '.join(self.outputs.names)}",
+            f"  spectral radius {spectral_radius(self.matrices.a):.4f}",
+        ]
+        return "\n".join(lines)
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per mode (of a pair the upper pole): pole, natural frequency and damping ratio."""
+        rows: list[dict[str, Cell]] = []
+        for pole in np.linalg.eigvals(self.matrices.a):
+            if pole.imag >= 0:
+                s = np.log(complex(pole)) / self.dt if pole != 0 else complex(-np.inf)
+                size = abs(s)
+                damping = None if size == 0 else float(-s.real / size) if np.isfinite(size) else 1.0
+                rows.append(
+                    {
+                        "real": float(pole.real), "imag": float(pole.imag),
+                        "frequency [rad/s]": float(size), "damping": damping,
+                    }
+                )  # fmt: skip
+        return rows
 
     @property
     def order(self) -> int:

@@ -34,6 +34,7 @@ from greybox.residual.as_function import AsFunction
 from greybox.residual.covariances import Covariance, covariance_from_dict
 from greybox.residual.covariances.covariance import frozen
 from greybox.residual.posterior import QUANTITIES, Domain
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
 
 SCHEMA = "greybox.gaussian_process/1"
@@ -74,8 +75,8 @@ class Latent:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianProcess(AsFunction):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class GaussianProcess(AsFunction, Shown):
     """A trained GP; all fields are plain numbers. n_in inputs, n_out outputs, n_f latent processes.
 
     The process sees (z - input_mean)/input_scale and its outputs are output_mean + output_scale (A
@@ -97,6 +98,27 @@ class GaussianProcess(AsFunction):
     noise: FloatArray
     offset: FloatArray
     domain: Domain
+
+    def _shown_text(self) -> str:
+        """What it learned from what."""
+        first = f"GP({', '.join(self.outputs.names)}) from {', '.join(self.inputs.names)}"
+        how = f"{len(self.latents)} latent processes on {len(self.bases)} bases, {self.method}"
+        return f"{first}\n  {how}, {self.domain.samples} training samples"
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per output: how many latent processes feed it, noise and offset."""
+        return [
+            {
+                "output": s.name,
+                "unit": s.unit,
+                "latent processes": int(np.count_nonzero(a)),
+                "noise std": float(np.sqrt(v)),
+                "mean far from the data": float(m),
+            }
+            for s, a, v, m in zip(
+                self.outputs, self.mixing, self.noise, self.output_mean, strict=True
+            )
+        ]
 
     def __post_init__(self) -> None:
         for name in (*_SCALES, "mixing"):

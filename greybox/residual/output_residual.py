@@ -38,14 +38,15 @@ from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.regressors import segments_of
+from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
 KIND = "output-hybrid"
 LINEAR_SCHEMAS = ("greybox.linear_model/1", "greybox.linear_models/1")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OutputHybrid:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class OutputHybrid(Shown):
     """`base` plus the Gaussian process `posterior` on its one-step errors. Plain numbers, no torch.
 
     The posterior's outputs are those of `base`, its inputs features of `BasePredictor.feature_layout`. Raises `ModelError`.
@@ -63,6 +64,14 @@ class OutputHybrid:
                 got=", ".join(self.posterior.outputs.names),
             )  # fmt: skip
         self.base.feature_layout(self.posterior.inputs.names)
+
+    def _shown_text(self) -> str:
+        """What it is, and its learned part."""
+        return f"{self.name}: foretells {', '.join(self.outputs)}\n{self.posterior._shown_text()}"
+
+    def _shown_rows(self) -> Sequence[Row]:
+        """That of the learned part."""
+        return self.posterior._shown_rows()
 
     @property
     def name(self) -> str:

@@ -12,18 +12,20 @@ from greybox.data import Dataset
 from greybox.errors import ModelError, UnknownNameError
 from greybox.files import OutputError, dump_json, write_atomic
 from greybox.model.identified import IdentifiedModel
+from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
 from greybox.simulators.targets import TARGETS, target_by_name
+from greybox.simulators.words import Status
 
 SCHEMA = "greybox.twin/1"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Twin:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Twin(Shown):
     """`statements` of every target, in order; `files` maps paths inside the folder to their
     text or bytes."""
 
@@ -33,6 +35,23 @@ class Twin:
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     covered: tuple[Covered, ...] = ()
+
+    def _shown_text(self) -> str:
+        """One line per target, then the notes."""
+        what = f"{self.model} as {len(self.files)} files of {len(self.statements)} simulators"
+        said = [f"  {s.simulator}: {s.headline}" for s in self.statements]
+        return "\n".join([what, *said, *self.notes])
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per simulator: how much it says, folds and loses, and what that does together."""
+        return [
+            {
+                "simulator": s.simulator,
+                **{k.value: sum(r.word.status is k for r in s.rows) for k in Status},
+                "together": "" if s.whole is None else s.whole.text,
+            }
+            for s in self.statements
+        ]
 
     def summary(self) -> str:
         """The table of every target."""

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import DataError
+from greybox.plots import Curve, panels
+from greybox.shown import Cell, Shown
 from greybox.symbolic import FloatArray
 from greybox.validation.groups import GROUPS, Groups
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 IntArray = npt.NDArray[np.int64]
 
@@ -41,8 +46,8 @@ class GroupErrors:
     nlpd: FloatArray | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class HorizonTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class HorizonTable(Shown):
     """Multi-step errors of one predictor: `groups` pooled over all flights, `flights` the same for each of them.
 
     `unjudged` groups were measured, but no origin had the references that it needs. `kinds` says of every group its unit
@@ -66,6 +71,34 @@ class HorizonTable:
         """Sum over h = 1..required of the mean absolute error, per group [its unit]; of one flight if named."""
         groups = self.groups if flight is None else self.flights[flight]
         return {g: float(e.mae[: self.required].sum()) for g, e in groups.items()}
+
+    def _shown_text(self) -> str:
+        """The table at some horizons."""
+        origins = max((e.origins for e in self.groups.values()), default=0)
+        first = f"{self.label}: errors up to {self.steps * self.sample_time:.3g} s ahead, {origins} origins"
+        return f"{first}\n{format_tables([self])}" if self.groups else first
+
+    def _shown_rows(self, horizons: Iterable[int] | None = None) -> list[dict[str, Cell]]:
+        """One row per horizon (default: all) and channel group: errors of the vector norm."""
+        steps = range(1, self.steps + 1) if horizons is None else horizons
+        return [
+            {
+                "predictor": self.label,
+                "seconds": float(f"{h * self.sample_time:.9g}"),
+                "group": name,
+                "unit": self.kinds[name].unit if name in self.kinds else "",
+                "mae": float(e.mae[h - 1]),
+                "rmse": float(e.rmse[h - 1]),
+                "n": int(e.n[h - 1]),
+            }
+            for h in steps
+            if h <= self.steps
+            for name, e in self.groups.items()
+        ]
+
+    def plot(self, ax: Sequence[Axes] | None = None) -> list[Axes]:
+        """Mean absolute error over the horizon, one panel per channel group; matplotlib axes."""
+        return plot_tables([self], ax)
 
     def curve(self) -> dict[str, list[float]]:
         """Mean absolute error at h = 1..H per group [unit of the group], for plots."""
@@ -129,6 +162,17 @@ def _cell(unit: str, errors: GroupErrors, i: int) -> dict[str, Any]:
         cell |= {f"coverage{100 * level:g}": float(c[i]) for level, c in errors.coverage.items()}
         cell["nlpd"] = float(errors.nlpd[i])
     return cell
+
+
+def plot_tables(tables: Sequence[HorizonTable], ax: Sequence[Axes] | None = None) -> list[Axes]:
+    """Mean absolute error over the horizon, one panel per channel group, a line per predictor."""
+    rows: dict[str, list[Curve]] = {}
+    for table in tables:
+        seconds = table.sample_time * np.arange(1, table.steps + 1, dtype=np.float64)
+        for name, errors in table.groups.items():
+            label = f"{name} [{table.kinds[name].unit}]" if name in table.kinds else name
+            rows.setdefault(label, []).append(Curve(label=table.label, x=seconds, y=errors.mae))
+    return panels(rows, x="horizon [s]", ax=ax)
 
 
 def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None = None) -> str:

@@ -6,17 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from greybox.model.verdict import NOT_JUDGED, Verdict
-from greybox.plots import Curve, panels
 from greybox.shown import Cell, Shown
 from greybox.validation.adapt import Adaptation
 from greybox.validation.advice import Hint
 from greybox.validation.coverage import Coverage
 from greybox.validation.cross_correlation import CrossCorrelation
-from greybox.validation.groups import GROUPS
-from greybox.validation.horizon_table import HorizonTable, format_tables
+from greybox.validation.horizon_table import HorizonTable, format_tables, plot_tables
 from greybox.validation.metrics import ChannelMetrics
 from greybox.validation.usefulness import in_words, judge, standard_of
 from greybox.validation.whiteness import Whiteness
@@ -62,33 +58,12 @@ class Validation(Shown):
 
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per predictor, horizon and channel group: errors of the vector norm."""
-        return [
-            {
-                "predictor": table.label,
-                "seconds": float(f"{h * table.sample_time:.9g}"),
-                "group": name,
-                "unit": GROUPS[name].unit if name in GROUPS else "",
-                "mae": float(e.mae[h - 1]),
-                "rmse": float(e.rmse[h - 1]),
-                "n": int(e.n[h - 1]),
-            }
-            for table in self.tables
-            for h in self.horizons
-            if h <= table.steps
-            for name, e in table.groups.items()
-        ]
+        return [row for table in self.tables for row in table._shown_rows(self.horizons)]
 
     def plot(self, ax: Sequence[Axes] | None = None) -> list[Axes]:
         """Mean absolute error over the horizon, one panel per channel group, a line per predictor;
         matplotlib axes."""
-        rows: dict[str, list[Curve]] = {}
-        for table in self.tables:
-            seconds = table.sample_time * np.arange(1, table.steps + 1, dtype=np.float64)
-            for name, errors in table.groups.items():
-                label = f"{name} [{GROUPS[name].unit}]" if name in GROUPS else name
-                curve = Curve(label=table.label, x=seconds, y=errors.mae)
-                rows.setdefault(label, []).append(curve)
-        return panels(rows, x="horizon [s]", ax=ax)
+        return plot_tables(self.tables, ax)
 
     def judged(self, *, hints: Iterable[Hint] = (), judged_on: str | None = None) -> Validation:
         """The same errors, judged again with `hints` and other words for what the flights are to the model."""

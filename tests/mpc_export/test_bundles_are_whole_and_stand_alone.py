@@ -67,6 +67,8 @@ def test_the_manifest_follows_its_schema_and_names_every_file(tmp_path, kind):
 
 def test_a_loaded_bundle_rebuilds_its_functions(linear):
     back = ExportBundle.load(linear.folder)
+    assert len(repr(back).splitlines()) <= 12
+    assert list(back.to_frame()["function"]) == [f["name"] for f in back.manifest["functions"]]
     with pytest.raises(ModelError, match="loaded"):
         _ = back.functions
     f_d = back.rebuild(("f_d",))["f_d"]

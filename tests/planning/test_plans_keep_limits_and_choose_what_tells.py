@@ -33,6 +33,11 @@ def made():
     return plan(vehicle(), effects=["rotor_drag", "command_delay"], seconds=25.0, limits=LIMITS)
 
 
+def test_a_plan_shows_itself_in_twelve_lines_and_as_a_frame(made):
+    assert len(repr(made).splitlines()) <= 12
+    assert set(made.errors) <= {str(v) for v in made.to_frame().iloc[:, 0]}
+
+
 def test_the_expected_flight_keeps_every_limit(made):
     assert LIMITS.broken(made.log) == []
     use = LIMITS.used(made.log)

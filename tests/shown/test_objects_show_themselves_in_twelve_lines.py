@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import functools
 import html.parser
+import inspect
+import sys
+import typing
+from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.errors import GreyboxError
+from greybox.commands.chain.front_door import Identified
+from greybox.discovery.certificate import Certificate
+from greybox.discovery.name import LOG10, Name
+from greybox.discovery.result import Discovery
+from greybox.discovery.worth import Worth
+from greybox.errors import GreyboxError, MissingExtraError
+from greybox.estimation.linear.fit import LinearFit, Record
+from greybox.estimation.profile import Profile
+from greybox.model.identified import IdentifiedModel
 from greybox.plots import Curve, panels
 from greybox.shown import LINES, Row, Shown, columns_of, html_table, shortened
+from scenarios.plants.linear_systems import random_system, simulate
 from tests import simulated
+from tests.mpc_export import predictor_cases
 from tests.residual import hybrid_cases
+from tests.simulators.identified import identified as nominal
 
 matplotlib.use("Agg")
 
@@ -31,20 +46,86 @@ def fitted() -> gb.Fit:
 
 
 @functools.cache
-def shown_objects() -> dict[str, Shown]:
+def linear() -> LinearFit:
+    u, y = simulate(np.random.default_rng(0), random_system(np.random.default_rng(1), 2, 1, 1), 300)
+    return gb.fit_linear([Record(u=u, y=y)], 2, dt=0.01)
+
+
+def discovery() -> Discovery:
+    """Three causes with what was said of them, as a search would give them."""
+
+    def name(cause: str, status: typing.Any, log10_e: float, worth: Worth | None) -> Name:
+        rivals = {(): log10_e * LOG10}
+        certificate = Certificate(name=cause, log_e=log10_e * LOG10, against=(), rivals=rivals)
+        return Name(name=cause, status=status, certificate=certificate, worth=worth, reason="said")
+
+    worth = Worth(share=0.4, group="velocity", horizon=0.5, log_e=9.0, seconds=20)
+    return Discovery(
+        verdict="stopped", omega_known=False, seconds=1.0, bar=3.0 * LOG10,
+        names=(
+            name("rotor_drag", "certified", 12.0, worth), name("wind", "not certified", -1.0, None),
+            name("center_of_mass_offset", "trace", 4.0, None),
+        ),
+    )  # fmt: skip
+
+
+def profile() -> Profile:
+    grid = np.linspace(0.02, 0.04, 5)
+    return Profile(
+        name="motor_lag.tau", flight=None, unit="s", estimate=0.03, grid=grid, cost=(grid - 0.03) ** 2 * 1e5,
+        converged=np.ones(5, dtype=bool), level=0.95, lower=0.022, upper=0.038,
+    )  # fmt: skip
+
+
+@functools.cache
+def validation() -> typing.Any:
+    return gb.validate(fitted().model, flight(), horizons=(0.01, 0.1))
+
+
+def inspection() -> Shown:
+    log = gb.examples.flight_path("nanobench", "B2_circle_slow_rep1")
+    return gb.inspect_log(log, gb.read_vehicle(gb.examples.vehicle_path("nanobench")))
+
+
+def identified() -> Identified:
     model = fitted().model
-    return {
-        "vehicle": simulated.vehicle(),
-        "dataset": flight(),
-        "check": gb.check(flight(), simulated.vehicle()),
-        "physics": model.dynamics,
-        "augmented": fitted().problem.dynamics,
-        "hybrid": hybrid_cases.hybrid(),
-        "identified": model,
-        "fit": fitted(),
-        "validation": gb.validate(model, flight(), horizons=(0.01, 0.1)),
-        "gp": hybrid_cases.push(hybrid_cases.craft()),
-    }
+    return Identified(
+        verdict=None, model=model, why="of fit", fit=model, discovery=None, learned=None, folder=Path("out")
+    )
+
+
+SHOWN: dict[str, typing.Callable[[], typing.Any]] = {
+    "vehicle": simulated.vehicle,
+    "vehicle check": lambda: gb.check_vehicle(simulated.vehicle()),
+    "dataset": flight,
+    "flight": lambda: flight().flights[0],
+    "segment": lambda: flight().segments[0],
+    "inspection": inspection,
+    "check": lambda: gb.check(flight(), simulated.vehicle()),
+    "physics": lambda: fitted().model.dynamics,
+    "augmented": lambda: fitted().problem.dynamics,
+    "hybrid": hybrid_cases.hybrid,
+    "identified model": lambda: fitted().model,
+    "fit": fitted,
+    "validation": validation,
+    "horizons": lambda: validation().table,
+    "profile": profile,
+    "discovery": discovery,
+    "identified": identified,
+    "gp": lambda: hybrid_cases.push(hybrid_cases.craft()),
+    "gp of pieces": predictor_cases.pieced,
+    "linear fit": linear,
+    "linear model": lambda: linear().model,
+    "output hybrid": lambda: predictor_cases.hybrid(
+        predictor_cases.axes(), ("p", "q", "phi[t-1]", "u1[t-1]")
+    ),
+    "twin": lambda: gb.twin(nominal({"motor_lag.tau": 0.05}), ["rotorpy", "numpy"]),
+}
+
+
+@functools.cache
+def shown(name: str) -> Shown:
+    return SHOWN[name]()
 
 
 class _Balanced(html.parser.HTMLParser):
@@ -65,9 +146,9 @@ class _Balanced(html.parser.HTMLParser):
         self.text += data
 
 
-@pytest.mark.parametrize("name", shown_objects())
+@pytest.mark.parametrize("name", SHOWN)
 def test_twelve_lines_html_and_a_table(name: str) -> None:
-    it = shown_objects()[name]
+    it = shown(name)
     text = repr(it)
     assert 1 <= len(text.splitlines()) <= LINES
     assert "object at 0x" not in text
@@ -95,11 +176,57 @@ def test_a_frame_has_the_numbers_of_the_fit() -> None:
     assert frame["t"][at] == pytest.approx(estimate.value / estimate.std)
 
 
-def test_without_pandas_a_table_is_columns_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    columns = flight().to_frame()
-    assert isinstance(columns, dict)
-    assert columns["flight"] == list(flight().names)
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_frame_has_a_column_of_every_cell(name: str) -> None:
+    it = shown(name)
+    frame = it.to_frame()
+    assert list(frame.columns) == list(columns_of(it._shown_rows()))
+    assert len(frame) == len(it._shown_rows())
+
+
+def test_without_pandas_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "greybox-sysid\[notebook\]"'):
+        flight().to_frame()
+
+
+def test_whatever_a_public_function_gives_back_shows_itself() -> None:
+    silent = []
+    for name in gb.__all__:
+        thing = getattr(gb, name)
+        if not inspect.isfunction(thing):
+            continue
+        source = sys.modules[thing.__module__]
+        given = inspect.signature(thing).return_annotation
+        for part in str(given).split(" | "):
+            if part in ("str", "Path", "dict[str, Any]") or part.startswith("tuple["):
+                continue
+            kind = getattr(source, part, None) or _type_checking(source, part)
+            silent += [] if issubclass(kind, Shown) else [f"{name}: {part}"]
+    assert silent == []
+
+
+def _type_checking(source: typing.Any, name: str) -> type:
+    """A class that a module imports only for types."""
+    from greybox.estimation.frf_result import FrequencyResponse
+    from greybox.estimation.profile import Profile
+    from greybox.model.linear import LinearModel
+    from greybox.residual.output_residual import OutputHybrid
+
+    return {k.__name__: k for k in (FrequencyResponse, IdentifiedModel, LinearModel, OutputHybrid, Profile)}[name]
+
+
+def test_plots_give_axes_with_names() -> None:
+    for it in (flight().flights[0], validation().table, discovery(), profile()):
+        axes = np.atleast_1d(it.plot())
+        assert all(isinstance(a, matplotlib.axes.Axes) for a in axes)
+        assert axes[-1].get_xlabel()
+    bars = discovery().plot()
+    assert [b.get_width() for b in bars.patches] == [12.0, -1.0, 4.0]
+    assert bars.lines[0].get_xdata()[0] == pytest.approx(3.0)
+    with pytest.raises(GreyboxError, match="nothing to plot"):
+        Discovery(verdict="bad_data", omega_known=False, seconds=0.0).plot()
+    matplotlib.pyplot.close("all")
 
 
 def test_what_an_object_says_cannot_break_the_page() -> None:

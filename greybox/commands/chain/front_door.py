@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,13 @@ from greybox.commands.chain.request import Request, SoFar
 from greybox.commands.chain.run import run_chain
 from greybox.errors import GreyboxError
 from greybox.model.identified import IdentifiedModel
-from greybox.model.verdict import Verdict
+from greybox.model.verdict import NOT_JUDGED, Verdict
 from greybox.residual.files import load_model
+from greybox.shown import Row, Shown
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Identified:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Identified(Shown):
     """What the chain made. `model` is the one that came out (`verdict` judges it, None: not judged)
     and `why`; `fit` that of the automatic fit, `discovery` that of discover and `learned` the
     hybrid, each None where that stage made none. All files are in `folder`, with report.html for a
@@ -33,9 +34,14 @@ class Identified:
     learned: IdentifiedModel | None
     folder: Path
 
-    def __repr__(self) -> str:
-        line = "NOT JUDGED" if self.verdict is None else self.verdict.line
-        return f"<{line}\n {self.why}; {self.folder / 'report.html'}>"
+    def _shown_text(self) -> str:
+        """The verdict, why this model, and where the report is."""
+        line = NOT_JUDGED if self.verdict is None else self.verdict.line
+        return f"{line}\n{self.why}\n{self.folder / 'report.html'}"
+
+    def _shown_rows(self) -> Sequence[Row]:
+        """That of the model."""
+        return self.model._shown_rows()
 
 
 def _quiet(text: str) -> None:

@@ -19,6 +19,7 @@ from greybox.estimation.linear.varx import estimate_delays
 from greybox.estimation.options import chosen, says_choices
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import spectral_radius
+from greybox.shown import Cell, Shown
 from greybox.statistics.whiteness import is_coloured
 from greybox.symbolic import FloatArray, Layout, Signal
 
@@ -27,8 +28,8 @@ __all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
 SOLVERS = ("gauss-newton", "ipopt")
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearFit:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LinearFit(Shown):
     """A fitted linear model. Holds innovations (per record (N, p), NaN where missing) but no raw data.
 
     `criterion` is -2 log likelihood in the units of the channels, `parameters` the number of free directions (initial
@@ -76,6 +77,24 @@ class LinearFit:
     def log_det(self) -> float:
         """log det Lambda of the training innovations, channel units."""
         return float(np.linalg.slogdet(self.model.noise)[1])
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per pole (of a pair the upper one): value and standard errors of its parts."""
+        poles = self.uncertainty.poles()
+        return [
+            {
+                "real": float(v.real), "imag": float(v.imag), "std real": float(np.sqrt(c[0, 0])),
+                "std imag": float(np.sqrt(c[1, 1])), "well determined": bool(sure),
+            }
+            for v, c, sure in zip(
+                poles.value, poles.covariance, self.uncertainty.well_determined(), strict=True
+            )
+            if v.imag >= 0
+        ]  # fmt: skip
 
     def summary(self) -> str:
         """A few lines for the terminal."""

@@ -13,13 +13,14 @@ from greybox.model.plausibility import judges
 from greybox.model.plausibility.craft import FIGURES, Craft
 from greybox.model.plausibility.finding import SEVERITIES, Implausible
 from greybox.model.vehicle import Vehicle
+from greybox.shown import Row, Shown
 
 SCHEMA = "greybox.vehicle_check/1"
 NOTHING = Beliefs(entries=())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plausibility:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Plausibility(Shown):
     """What `check_vehicle` found, the worst first, the key figures (SI) of the craft, and how sure its file is of what."""
 
     vehicle: str
@@ -37,6 +38,16 @@ class Plausibility:
         """ "plausible", "warnings" or "implausible"."""
         levels = {f.severity for f in self.findings}
         return "implausible" if "blocking" in levels else "warnings" if "warning" in levels else "plausible"
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[Row]:
+        """One row per finding; without any the key figures."""
+        if self.findings:
+            return [asdict(f) for f in self.findings]
+        return [{"figure": name, "value": value} for name, value in self.figures.items()]
 
     def to_dict(self) -> dict[str, Any]:
         """The content of `greybox vehicle check --json` (schema "greybox.vehicle_check/1")."""
