@@ -78,8 +78,13 @@ class Pair:
         """Phase [deg] of a response (K,), on the branch of the measured one."""
         own = np.angle(self.value)
         own[self.usable] = np.unwrap(own[self.usable])
-        here = own + np.angle(value / self.value)
-        return np.asarray(np.rad2deg(here))
+        if value is self.value or not self.usable.any():
+            return np.asarray(np.rad2deg(own + np.angle(value / self.value)))
+        turn, known = np.angle(value), np.isfinite(value)
+        turn[known] = np.unwrap(turn[known])
+        away = (own - turn)[self.usable & known]
+        whole = 2 * np.pi * np.round(np.median(away) / (2 * np.pi)) if away.size else 0.0
+        return np.asarray(np.rad2deg(turn + whole))
 
     @property
     def outside(self) -> BoolArray | None:

@@ -55,14 +55,22 @@ _FLAGS = {
 }
 
 
+PredictorName = Literal[
+    "innovation", "kalman", "k-step", "multi-step", "multiple-shooting", "simulation"
+]
+CriterionName = Literal["gaussian", "least-squares", "robust"]
+SolverName = Literal["levenberg-marquardt", "gauss-newton", "scipy-trf", "ipopt", "ipopt-exact"]
+Initialisation = Literal["nominal", "noise", "equation-error", "multistart", "innovation"]
+
+
 class FitChoices(TypedDict, total=False):
     """The keywords of `fit` and `make_problem`: the fields of `FitOptions`, which says what they
     mean."""
 
-    predictor: str | Predictor[object]
-    criterion: str | Criterion
-    solver: str | Solver
-    initialisation: str
+    predictor: PredictorName | Predictor[object]
+    criterion: CriterionName | Criterion
+    solver: SolverName | Solver
+    initialisation: Initialisation
     disturbance: Iterable[str]
     noise_parts: Iterable[str]
     free: Iterable[str] | None

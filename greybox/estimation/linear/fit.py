@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -122,10 +122,10 @@ class LinearChoices(TypedDict, total=False):
     outputs: Sequence[str | Signal] | None
     delays: Sequence[int] | str | None
     largest: int
-    criterion: str
+    criterion: Literal["aic", "aicc", "bic"]
     cross_validate: bool
     center: bool
-    solver: str
+    solver: Literal["gauss-newton", "ipopt"]
     name: str
 
 
