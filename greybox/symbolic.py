@@ -36,6 +36,11 @@ class Signal:
     meaning: str = ""
 
 
+def given(value: Expr) -> tuple[Expr, ...]:
+    """It as a further argument; none where it is None."""
+    return () if value is None else (value,)
+
+
 def sum_of(first: Expr, second: Expr) -> Expr:
     """Their sum, where None is nothing."""
     if first is None or second is None:

@@ -14,7 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -44,6 +44,7 @@ from greybox.model.core_parameters import core_parameters
 from greybox.model.effect import Effect
 from greybox.model.effective_lag import PARTS as IN_A_ROW
 from greybox.model.model import PhysicsModel, build_model
+from greybox.model.noise import Coloured, LowPass, part_named
 from greybox.model.vehicle import Vehicle
 from greybox.statistics.evidence import CLEAR as CLEAR_EVIDENCE
 from greybox.statistics.evidence import FELT
@@ -187,11 +188,11 @@ class _Decider:
             return self._decided(steps[:1], options, None)
         tried = self._nested(steps, options, first, parts)
         best = min(tried, key=lambda c: c.score.mean)
-        good = [c for c in tried if _as_good(c, best)]
-        chosen = self._without_unfelt(min(good, key=lambda c: c.likelihood.bic), options, best, parts)
-        options, noisy = self._filters(options, chosen, parts)
+        chosen = self._without_unfelt(likeliest_of_the_good(tried), options, best, parts)
+        options, noisy, reason = self._filters(options, chosen, parts)
         if noisy is not chosen:
             chosen = self._without_unfelt(noisy, options, noisy, parts)
+        self._say_noise(chosen, reason)
         self._say_effects(chosen, tried)
         options, chosen = self._thrust_per_flight(options, chosen, parts)
         options, chosen = self._criterion(options, chosen, parts)
@@ -376,7 +377,7 @@ class _Decider:
             options = options.but(initialisation="equation-error")
         else:
             dropped = {*afresh, *_names(before.steps)} - (set(_names(steps)) - set(afresh))
-            options = _from(before.fit, before.likelihood, options, dropped)
+            options = _from(before.likelihood, before.likelihood, options, dropped)
         try:
             model, options = self._one_library(steps, options)
             plain = fit(model, parts[0], options)
@@ -453,24 +454,28 @@ class _Decider:
     def _say_effects(self, chosen: Candidate, tried: list[Candidate]) -> None:
         if self.given.effects is not None:
             return
-        listed = ", ".join(f"{c.name} {c.score.mean:.3f}" for c in tried)
+        least = min(c.likelihood.bic for c in tried)
+        listed = ", ".join(
+            f"{c.name} {c.score.mean:.3f} (BIC {c.likelihood.bic - least:+.0f})" for c in tried
+        )
         self._note(
             "effects",
             _listed(chosen.steps),
             "of the sets within one standard error of the best on pieces left out the one with the "
-            "lowest BIC, less what nothing feels; squared error ahead over that of holding the last "
-            f"value, step by step: {listed}",
+            "lowest BIC, less what nothing feels, with a late pose where the IMU is filtered; squared "
+            f"error ahead over that of holding the last value, step by step: {listed}",
             "--effects, --per-flight",
         )
 
     def _filters(
         self, options: FitOptions, first: Candidate, parts: tuple[Dataset, Dataset]
-    ) -> tuple[FitOptions, Candidate]:
-        """Filters and colour of gyro and accelerometer where BIC clearly asks for them, with the
-        effects that were `first` chosen: colour would take what they explain. A pose that is as
-        late as a filtered IMU hides it: the two are tried together."""
+    ) -> tuple[FitOptions, Candidate, str]:
+        """(options, candidate, reason) with filters and colour of gyro and accelerometer where BIC
+        clearly asks for them and the last value is still beaten, `first` where not. The effects of
+        `first` stay: colour would take what they explain. A pose that is as late as a filtered IMU
+        hides it: the two are tried together."""
         if "noise_parts" in self.given.choices:
-            return options, first
+            return options, first, ""
         offered = () if self.kinematic_noise else offered_parts(first.likelihood)
         reason = "no time constant is longer than nothing within its error and possible"
         if self.kinematic_noise:
@@ -478,8 +483,8 @@ class _Decider:
         elif not offered:
             reason = "the innovations of the IMU are white"
         steps = first.steps
-        if offered and self._pose_may_be_late() and not set(_names(steps)) & set(names_of(LATE_POSE)):
-            clocks = [s for s in self.largest if set(names_of(s)) & set(names_of(LATE_POSE))]
+        if offered and self._pose_may_be_late() and not _shared(steps, LATE_POSE):
+            clocks = [s for s in self.largest if _shared((s,), LATE_POSE)]
             steps = (*steps, *(clocks or [LATE_POSE]))
         while offered:
             own = with_noise_parts(options, offered, first.likelihood)
@@ -492,21 +497,26 @@ class _Decider:
             if felt != offered:
                 offered = felt
                 continue
-            gain = first.likelihood.bic - again.likelihood.bic
-            if gain > CLEAR_EVIDENCE:
-                self._note(
-                    "noise of the IMU",
-                    ", ".join(described(p, again.likelihood) for p in offered),
-                    f"its innovations are not white, and BIC falls by {gain:.0f}"
-                    f"{' together with a late pose' if steps != first.steps else ''}; a filter "
-                    "that is left out looks like more lag of the motors",
-                    "--noise-parts",
-                )
-                return own, again
-            reason = f"BIC falls by {gain:.0f} only"
+            gain, score = first.likelihood.bic - again.likelihood.bic, again.score.mean
+            both = " together with a late pose" if steps != first.steps else ""
+            reason = (
+                f"its innovations are not white; BIC {'falls' if gain > 0 else 'rises'} by "
+                f"{abs(gain):.0f}{both}, the squared error ahead goes from {first.score.mean:.3f} to "
+                f"{score:.3f} of the last value's; a filter that is left out looks like more lag of "
+                "the motors"
+            )
+            if gain > CLEAR_EVIDENCE and score < max(1.0, first.score.mean):
+                return own, again, reason
             break
-        self._note("noise of the IMU", "white", reason, "--noise-parts")
-        return options, first
+        return options, first, reason
+
+    def _say_noise(self, chosen: Candidate, reason: str) -> None:
+        if "noise_parts" in self.given.choices:
+            return
+        parts = [part_named(n) for n in chosen.likelihood.settings["noise_parts"]]
+        of_imu = [p for p in parts if isinstance(p, LowPass | Coloured)]
+        said = ", ".join(described(p, chosen.likelihood) for p in of_imu) or "white"
+        self._note("noise of the IMU", said, reason, "--noise-parts")
 
     def _pose_may_be_late(self) -> bool:
         return (
@@ -567,6 +577,12 @@ class _Decider:
         return (options.but(predictor="multi-step") if chosen.looks_ahead else options), chosen
 
 
+def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:
+    """Of candidates that foretell as well as the best the one with the lowest BIC."""
+    best = min(tried, key=lambda c: c.score.mean)
+    return min((c for c in tried if _as_good(c, best)), key=lambda c: c.likelihood.bic)
+
+
 def _as_good(one: Candidate, best: Candidate) -> bool:
     """Whether the best is better by less than its standard error, or by less than is worth
     anything."""
@@ -604,6 +620,11 @@ def _name(effect: str | Effect) -> str:
 
 def _names(steps: tuple[Step, ...]) -> tuple[str, ...]:
     return tuple(n for s in steps for n in names_of(s))
+
+
+def _shared(steps: tuple[Step, ...], step: Step) -> bool:
+    """Whether an effect of `step` is among those of `steps`."""
+    return not set(_names(steps)).isdisjoint(names_of(step))
 
 
 def _listed(steps: tuple[Step, ...]) -> str:

@@ -73,7 +73,7 @@ class Dynamics(Protocol):
         """
 
     def h(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
-        """Outputs y, n_y, at the command u, without sensor noise; w as in `f`."""
+        """Outputs y, n_y, at the command u, without sensor noise; w has always pushed, as the command."""
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """State one sample later, n_x, for the command window (n_u x (past + 1 + future)) and process noise w."""

@@ -20,7 +20,7 @@ from greybox.model.effect import Effect
 from greybox.model.model import PhysicsModel
 from greybox.model.parameter import Parameter
 from greybox.shown import Cell, Shown
-from greybox.symbolic import Expr, FloatArray, Layout
+from greybox.symbolic import Expr, FloatArray, Layout, given
 
 D = TypeVar("D", bound=Dynamics)
 
@@ -133,7 +133,7 @@ class Layer(Shown, ABC):
         lasting: Expr = None,
     ) -> Expr:
         """Outputs of the base at the sample."""
-        return self.base.output(t, x, window, p, w, dt, lasting)
+        return self.base.output(t, x, window, p, w, dt, *given(lasting))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Innovation of the base."""

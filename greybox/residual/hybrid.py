@@ -23,7 +23,7 @@ from greybox.model.layer import LearnedPush
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import features
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Expr
+from greybox.symbolic import Expr, given
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -136,4 +136,4 @@ class HybridModel(LearnedPush):
         lasting: Expr = None,
     ) -> Expr:
         """Outputs see the learned push as they see the process noise of its channel."""
-        return self.inner.output(t, x, window, p, w, dt, self._push(x, window, lasting))
+        return self.inner.output(t, x, window, p, self._push(x, window, w), dt, *given(lasting))

@@ -64,7 +64,7 @@ from greybox.residual.weight_space import (
     weighted,
     whitened,
 )
-from greybox.symbolic import Expr, FloatArray, evaluate, sum_of
+from greybox.symbolic import Expr, FloatArray, evaluate, given
 
 HORIZONS = (1, 2, 5, 10, 20, 35, 50)
 STRENGTHS = (1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3, np.inf)
@@ -117,7 +117,7 @@ class WeightedHybrid(HybridModel):
         """Outputs under the weighted push."""
         push = self._spread @ self._weighted(x, window, p)
         own = p[: len(self.inner.parameters)]
-        return self.inner.output(t, x, window, own, w, dt, sum_of(push, lasting))
+        return self.inner.output(t, x, window, own, w + push, dt, *given(lasting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,9 +19,8 @@ from greybox.errors import FitError
 from greybox.estimation.engine import Engine
 from greybox.estimation.filtering import Filtered
 from greybox.frames import numeric
-from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import physics_of
+from greybox.model.layer import physics_of, with_physics
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray, evaluate
 from greybox.validation.groups import GROUPS, groups_of
@@ -88,13 +87,12 @@ def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], An
     if physics is None or "position" not in physics.sensor_names:
         return None
     sensor = next(s for s in SENSORS if s.name == "velocity")
-    seeing: Dynamics = replace(physics, sensors=(*physics.sensors, sensor))
+    seeing = with_physics(model.dynamics, lambda own: replace(own, sensors=(*own.sensors, sensor)))
     x, p = ca.SX.sym("x", len(model.dynamics.states)), ca.SX.sym("p", len(model.dynamics.parameters))
     u = ca.SX.sym("u", len(physics.inputs))
     window = ca.repmat(u, 1, sum(physics.window) + 1)
-    quiet = ca.DM.zeros(len(physics.noises))
-    own = x[: len(physics.states)], p[: len(physics.parameters)]
-    y = seeing.output(0, own[0], window, own[1], quiet, model.sample_time)
+    quiet = ca.DM.zeros(len(seeing.noises))
+    y = seeing.output(0, x, window, p, quiet, model.sample_time)
     v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]
     rows, moves = ([i for i in range(s.numel()) if any(ca.which_depends(v, s[i], 1, False))] for s in (x, u))
 

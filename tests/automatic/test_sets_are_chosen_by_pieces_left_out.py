@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from greybox.automatic.decide import Decided, Given, decide
+from greybox.automatic.decide import Candidate, Decided, Given, decide, likeliest_of_the_good
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
 from greybox.automatic.foretell import Score
+from greybox.automatic.sets import Step, names_of, nested_sets
 from greybox.data import Dataset
 from greybox.estimation.recipe import Decision
 from tests.automatic.craft import flight, flights, flown, vehicle
@@ -66,3 +70,29 @@ def test_scores_are_compared_block_by_block():
     assert error < 0.01, "a rough piece counts against neither"
     one = Score(blocks=rough[:1])
     assert one.better_by(one)[1] == np.inf, "of a single block nobody knows how much it scatters"
+
+
+def candidate(name: str, score: float, bic: float) -> Candidate:
+    """One that foretells every piece alike."""
+    fitted = SimpleNamespace(bic=bic)
+    blocks = np.array([1.0, 1.1, 0.9, 1.0]) * score
+    return Candidate(
+        steps=(Step(name=name, effects=()),),
+        likelihood=fitted,  # type: ignore[arg-type]  # its BIC is all that is asked
+        likelihood_score=Score(blocks=blocks),
+    )
+
+
+def test_among_those_that_foretell_alike_the_likelihood_chooses():
+    small, large = candidate("small", 0.102, 50.0), candidate("large", 0.1, 0.0)
+    poor = candidate("poor", 0.2, -900.0)
+    assert likeliest_of_the_good([small, large, poor]) is large
+    assert likeliest_of_the_good([replace(small, likelihood=SimpleNamespace(bic=-20.0)), large]).name == "small"
+
+
+def test_inflow_is_offered_where_something_shows_the_climb():
+    seen = facts_of(flights(), vehicle(), prepare(vehicle(), flights()).report)
+    offered = {n for s in nested_sets(vehicle(), seen) for n in names_of(s)}
+    assert "axial_inflow" not in offered
+    placed = replace(seen, sensors=seen.sensors | {"position"})
+    assert "axial_inflow" in {n for s in nested_sets(vehicle(), placed) for n in names_of(s)}

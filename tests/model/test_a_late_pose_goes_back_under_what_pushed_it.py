@@ -1,4 +1,4 @@
-"""What a late pose shows was pushed by the same gusts and the same learned force as the states that came after it."""
+"""What a late pose shows was pushed by the same gusts as the states that came after it."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from greybox.model.layer import Layer, layers
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.part import NoisePart, Place, SensorPart
 from greybox.model.parameter import Parameter
-from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
+from greybox.symbolic import Expr, FloatArray, Layout, Signal, given, sum_of
 
 START_STEP = 0.01
 """Sample time [s] whose typical noise levels are the spread of own states at the start of a
@@ -232,7 +232,9 @@ class Augmented(Layer):
         core, own = self._split(x)
         pushed, driving = self._pushed(own, w), w[len(self.core.noises) :]
         y = (
-            self.core.output(t, core, window, self._core_p(p), self._white(w), dt, self._push(own))
+            self.core.output(
+                t, core, window, self._core_p(p), self._white(w), dt, *given(self._push(own))
+            )
             if self._filters
             else None
         )
@@ -261,8 +263,8 @@ class Augmented(Layer):
         """Core's outputs under the disturbances, those of filtered sensors through their filter."""
         core, own = self._split(x)
         driving = w[len(self.core.noises) :]
-        white, push = self._white(w), sum_of(self._push(own), lasting)
-        y = self.core.output(t, core, window, self._core_p(p), white, dt, push)
+        push = sum_of(self._push(own), self._white(lasting))
+        y = self.core.output(t, core, window, self._core_p(p), self._white(w), dt, *given(push))
         readings = {}
         for a in self._filters:
             assert isinstance(a.part, SensorPart)
