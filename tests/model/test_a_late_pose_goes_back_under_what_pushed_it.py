@@ -8,6 +8,7 @@ import pytest
 
 from greybox.model.noise import Disturbance, with_parts
 from tests.model.craft import CROOKED, flat, model_of, state
+from tests.mpc_export import cases
 
 DT = 0.01
 EFFECTS = ("motor_lag", "pose_delay")
@@ -91,3 +92,16 @@ def test_what_lasts_is_a_gust_and_noise_together():
     one = model.output(0, states[4], windows[4], ca.DM(values), ca.DM(PUSH), DT)
     rows = [list(model.outputs.names).index(c) for c in ("p", "q", "r", "ax", "ay", "az")]
     assert flat(both)[rows] == pytest.approx(flat(one)[rows], abs=1e-12)
+
+
+def test_a_learned_push_on_disturbance_states_shows_itself_in_the_outputs():
+    dynamics = cases.hybrid().dynamics
+    x, p, w = (ca.SX.sym("v", len(n)) for n in (dynamics.states, dynamics.parameters, dynamics.noises))
+    window = ca.SX.sym("U", len(dynamics.inputs), sum(dynamics.window) + 1)
+    y = dynamics.output(0, x, window, p, w, DT)
+    inner = dynamics.inner.output(0, x, window, p, w, DT)
+    assert y.numel() == len(dynamics.outputs)
+    different = ca.Function("d", [x, window, p, w], [y - inner])
+    at = flat(different(0.1, CROOKED.hover_speed, [d.nominal for d in dynamics.parameters], 0))
+    names = list(dynamics.outputs.names)
+    assert np.abs(at[[names.index(c) for c in ("ax", "ay", "az")]]).max() > 0
