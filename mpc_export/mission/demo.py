@@ -105,7 +105,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The short demo, through the command line that a user would type."""
     from greybox.cli import main as greybox
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description="The demo of `greybox mpc`: the craft of the obstacle course flies once, three models are identified "
+        "from that flight (data sheet, fitted physics, physics with a Gaussian process) and each flies the course."
+    )
     parser.add_argument("--out", default="demo_mpc_out")
     parser.add_argument("--flights", default="6")
     parser.add_argument("--jobs", default="2")

@@ -315,7 +315,7 @@ def vehicle_file(case: Case) -> str:
 def _without_sigmas(text: str) -> str:
     """A file of schema 1 whose numbers stand bare, which means exact."""
     lines = []
-    for line in text.splitlines():
+    for line in text.replace("greybox.vehicle/2", "greybox.vehicle/1").splitlines():
         if "_sigma = " in line:
             continue
         if "{ value = " in line:

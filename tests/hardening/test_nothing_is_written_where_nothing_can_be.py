@@ -23,6 +23,8 @@ WRITERS = {
     "greybox/estimation/cache.py": "the cache of compiled models",
     "greybox/data/readers/mat_child.py": "a temporary folder of its parent",
     "greybox/discovery/proposal.py": "a temporary folder",
+    "greybox/plants/flight_log.py": "logs of a simulated craft, which nothing reads before they are whole",
+    "greybox/plants/vehicle_file.py": "the vehicle file of a simulated craft, likewise",
     "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is whole",
     "mpc_export/bundle.py": "the same",
     "mpc_export/c_code.py": "the same",
