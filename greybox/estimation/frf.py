@@ -197,6 +197,8 @@ def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str,
 
 def _longest(lengths: Sequence[int], dt: float, sources: int, window: float | None) -> float:
     """The longest window [s] that leaves averages enough."""
+    if window is not None and not 0 < window < np.inf:
+        raise DataError(f"window {window:g} s", expected="a positive number of seconds")
     need = LEAST_AVERAGES + 2 * sources
     tried = [window] if window is not None else [LONGEST / 2**k for k in range(4)]
     for length in tried:

@@ -87,7 +87,7 @@ EVERYDAY: tuple[PlantEffect, ...] = (
     GyroScale(s_x=0.01, s_y=-0.01, s_z=0.015),
     GyroBias(b_x=0.008, b_y=-0.005, b_z=0.004),
 )
-"""What a home-made `DUCKIEDRONE` has besides a rigid body: see scenarios.studies.paper_experiment."""
+"""What a home-made `DUCKIEDRONE` has besides a rigid body: see docs/studies/paper_experiment.md."""
 
 DEFAULT = Gains()
 SOFT = Gains(position=2.0, velocity=2.4, position_integral=0.3, attitude=5.0, rate=12.0, rate_integral=6.0)

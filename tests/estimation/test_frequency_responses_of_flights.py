@@ -149,3 +149,9 @@ def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
     )
     found = gb.frf(noise, ["a"], ["b"])
     assert not found.measured and found.line == "not measured: no frequency has coherence above 0.6"
+
+
+@pytest.mark.parametrize("window", [float("nan"), float("inf"), 0.0, -2.0])
+def test_a_window_that_is_no_length_is_refused(window):
+    with pytest.raises(gb.GreyboxError, match="a positive number of seconds"):
+        gb.frf(flights(count=1), ["roll"], ["p"], vehicle=example_vehicle(), window=window)
