@@ -187,7 +187,7 @@ class _Decider:
         if first is None:
             return self._decided(steps[:1], options, None)
         tried = self._nested(steps, options, first, parts)
-        best = min(tried, key=lambda c: c.score.mean)
+        best = _best(tried)
         chosen = self._without_unfelt(likeliest_of_the_good(tried), options, best, parts)
         options, noisy, reason = self._filters(options, chosen, parts)
         if noisy is not chosen:
@@ -376,8 +376,8 @@ class _Decider:
         if before is None:
             options = options.but(initialisation="equation-error")
         else:
-            dropped = {*afresh, *_names(before.steps)} - (set(_names(steps)) - set(afresh))
-            options = _from(before.likelihood, before.likelihood, options, dropped)
+            dropped = {*afresh, *(set(_names(before.steps)) - set(_names(steps)))}
+            options = _from(before.likelihood, options, dropped)
         try:
             model, options = self._one_library(steps, options)
             plain = fit(model, parts[0], options)
@@ -390,7 +390,7 @@ class _Decider:
             return found
         try:
             many = fit(
-                model, parts[0], _from(plain, plain, options, set()).but(predictor="multi-step")
+                model, parts[0], _from(plain, options, set()).but(predictor="multi-step")
             )
             return replace(found, ahead=many, ahead_score=foretell(many.model, parts[1]))
         except GreyboxError as error:
@@ -429,11 +429,11 @@ class _Decider:
         parts: tuple[Dataset, Dataset],
     ) -> list[Candidate]:
         """`first`, the smallest set, and the larger ones up to all `steps`."""
-        tried = [first]
-        for i in range(len(first.steps), len(steps) + 1):
-            got = first if i == 1 else self._try(steps[:i], options, tried[-1], parts)
+        tried: list[Candidate] = []
+        for i in range(1, len(steps) + 1):
+            got = self._try(steps[:i], options, tried[-1], parts) if tried else first
             if got is not None:
-                tried = [*tried, got] if got is not first else tried
+                tried.append(got)
                 self.say(f"  {got.name}: {got.score.mean:.3f} of the last value's squared error")
         return tried
 
@@ -579,8 +579,12 @@ class _Decider:
 
 def likeliest_of_the_good(tried: Sequence[Candidate]) -> Candidate:
     """Of candidates that foretell as well as the best the one with the lowest BIC."""
-    best = min(tried, key=lambda c: c.score.mean)
+    best = _best(tried)
     return min((c for c in tried if _as_good(c, best)), key=lambda c: c.likelihood.bic)
+
+
+def _best(tried: Sequence[Candidate]) -> Candidate:
+    return min(tried, key=lambda c: c.score.mean)
 
 
 def _as_good(one: Candidate, best: Candidate) -> bool:
@@ -590,11 +594,11 @@ def _as_good(one: Candidate, best: Candidate) -> bool:
     return gain <= max(error, WORTH * one.score.mean)
 
 
-def _from(start: Fit, noise: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
-    """`options` from the estimates of one fit and the noise levels of another, less those of
-    effects that are `dropped`. Levels that the other has not stay as they are."""
+def _from(start: Fit, options: FitOptions, dropped: set[str]) -> FitOptions:
+    """`options` from the estimates and noise levels of a fit, less those of effects that are
+    `dropped`. Levels that it has not stay as they are."""
     values = {n: e.value for n, e in start.parameters.items() if n.split(".")[0] not in dropped}
-    levels = noise_of(noise.model)
+    levels = noise_of(start.model)
     for part in set(start.settings["noise_parts"]) - set(options.noise_parts):
         values, levels = without_noise_of(part, values), without_noise_of(part, levels)
     held = {n: v for n, v in options.noise.items() if n in options.held_noise}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import horizon_options
 from greybox.commands.model_options import model_options, names
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         horizons=horizon_steps(arguments, sample_time(train)), say=say,
     )  # fmt: skip
     out = Path(arguments.out)
-    command = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["compare"] else "greybox compare"
+    command = typed("compare")
     content: dict[str, Any] = {}
     for partial in compare(bench, arguments.methods):
         # What is done stays done, whatever happens to the next method.

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
@@ -121,8 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
     def write(found: Discovery) -> None:
         content.update(found.to_dict())
         content["warnings"] = [*(f"accepted: {f.flight}: {f.message}" for f in faults.overruled), *content["warnings"]]
-        ours = sys.argv[1:2] == ["discover"]
-        content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox discover"
+        content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
         content["effects_files"] = [path for path, effects in offered.items() if {e.name for e in effects} & set(has)]
         withdraw(out, "report.html")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from greybox.model.verdict import Verdict
     from greybox.validation.result import Validation
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.model_options import fit_with, given, model_options
@@ -108,8 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
     def save(result: Fit) -> dict[str, Any]:
         content: dict[str, Any] = result.to_dict()
         content["warnings"] = [*warnings, *content["warnings"]]
-        ours = sys.argv[1:2] == ["fit"]
-        content["command"] = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"
+        content["command"] = typed("fit")
         if "explicit" in content:
             content["explicit"]["command"] = _explicit(arguments, prepared, test, result)
         write_json(out / "fit.json", content)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from greybox.commands.command_line import typed
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
@@ -47,8 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
 
     def save(found: Fit, warnings: list[str]) -> dict[str, Any]:
-        ours = sys.argv[1:2] == ["fit"]
-        content = {**found.to_dict(), "command": "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox fit"}
+        content = {**found.to_dict(), "command": typed("fit")}
         content["warnings"] = [*warnings, *content["warnings"]]
         write_json(out / "fit.json", content)
         found.model.save(out / "model.json")

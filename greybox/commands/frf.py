@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
 
@@ -130,9 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
         band=arguments.band,
         window=arguments.window,
     )
-    ours = sys.argv[1:2] == ["frf"]
-    command = "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox frf"
-    content = {**found.to_dict(), "command": command}
+    content = {**found.to_dict(), "command": typed("frf")}
     out = Path(arguments.out)
     page, table = frf_report(content), _table(found)
     withdraw(out, *WRITTEN)
@@ -164,6 +162,7 @@ def _subject(
     """The model and the vehicle, as far as they are given."""
     from greybox.commands.front_door import load
     from greybox.errors import DataError
+    from greybox.estimation.frf_channels import vehicle_of
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.linear import LinearModel
@@ -181,9 +180,7 @@ def _subject(
             where=arguments.model,
             fix="pass the linear model that it was learned on",
         )
-    if isinstance(model, IdentifiedModel) and model.sensors and vehicle is None:
-        vehicle = model.physics.vehicle
-    return model, vehicle
+    return model, vehicle or vehicle_of(model)
 
 
 def _named(
@@ -203,8 +200,7 @@ def _named(
         if model is not None and not isinstance(model, LinearModel):
             outputs = tuple(n for n in OUTPUTS if n in model.dynamics.innovations.names)
     elif model is not None:
-        dynamics = model if isinstance(model, LinearModel) else model.dynamics
-        inputs, outputs = dynamics.inputs.names, dynamics.outputs.names
+        inputs, outputs = model.dynamics.inputs.names, model.dynamics.outputs.names
     elif not (arguments.inputs and arguments.outputs):
         raise DataError(
             "which inputs and outputs?", fix="--vehicle V.toml, or --inputs u1,u2 --outputs p,q"
@@ -225,7 +221,6 @@ def _flights(
     from greybox.data.logs import read_possible
     from greybox.estimation.frf_channels import channels
     from greybox.estimation.linear.logs import with_columns
-    from greybox.model.linear import LinearModel
 
     raws = [
         read_possible(
@@ -246,7 +241,7 @@ def _flights(
         specs += channels(given, vehicle, what) if given or what != "references" else ()
     rate = arguments.rate
     if rate is None and model is not None:
-        rate = 1 / (model.dt if isinstance(model, LinearModel) else model.sample_time)
+        rate = 1 / model.sample_time
     flights = [
         condition(
             with_columns(raw, specs, str(path)),

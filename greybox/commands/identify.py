@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
 
@@ -61,9 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         rate=arguments.rate, seed=arguments.seed, skip=frozenset(arguments.skip), even_so=arguments.even_so,
         accept=accepted(arguments.accept),
     )  # fmt: skip
-    ours = sys.argv[1:2] == ["identify"]
-    words = sys.argv[1:] if ours else ["identify", vehicle, *logs]
-    found = run_chain(request, command=f"greybox {shlex.join(words)}", say=say, progress=sys.stderr)
+    command = typed("identify", "greybox " + shlex.join(["identify", vehicle, *logs]))
+    found = run_chain(request, command=command, say=say, progress=sys.stderr)
     outcome = found.outcome
     if outcome.stopped:
         if outcome.exit_code == 130:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
@@ -114,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
         learner=arguments.learner, seed=arguments.seed, progress=progress,
     )  # fmt: skip
     content = learned.to_dict()
-    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["learn"] else "greybox learn"
+    content["command"] = typed("learn")
     unseen = sorted(set(model.trained_on) - set(train.names))
     if unseen:
         content["warnings"].append(f"the model was also fitted to {', '.join(unseen)}, which were not given")

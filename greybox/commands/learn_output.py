@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from greybox.commands.command_line import typed
 
 RESULTS = ("report.html", "learn.json", "hybrid.json")
 """Files of the command."""
@@ -78,7 +79,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     judged = test if test.flights else train
     if not test.flights:
         warnings.append("validated on the flights that were learned from: give --test flights")
-    command = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["learn"] else "greybox learn"
+    command = typed("learn")
     content: dict[str, Any] = {
         "schema": "greybox.output_residual/1", "kind": "output", "command": command, "model": hybrid.name,
         "features": list(hybrid.features), "outputs": [

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
+
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
@@ -95,8 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not quiet:
             print(f"  {time.perf_counter() - began:4.0f} s  {text}", file=sys.stderr, flush=True)
 
-    ours = sys.argv[1:2] == ["mpc"]
-    command = "greybox " + shlex.join(sys.argv[1:]) if ours else f"greybox mpc {shlex.quote(arguments.subject)}"
+    command = typed("mpc", f"greybox mpc {shlex.quote(arguments.subject)}")
     demo = None
     if arguments.subject == "demo":
         from mpc_export.mission.demo import PLANT, identify

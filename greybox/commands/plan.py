@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.model_options import names, noise_levels, values
 from greybox.commands.own_model import loaded, model_file_option
 
@@ -140,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
         say=None if quiet else lambda text: print(f"  {text}", file=sys.stderr),
     )  # fmt: skip
     content = found.to_dict()
-    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["plan"] else "greybox plan"
+    content["command"] = typed("plan")
     gravity = float(vehicle.gravity)
     sent = [setpoints(steps, limits, found.subject.sample_time, gravity) for steps in found.flights]
     seen = [{"t": s.t, **s.channels} for f in found.log.flights for s in f.segments]
@@ -192,7 +192,7 @@ def _run_own(arguments: argparse.Namespace, model: Any) -> int:
     )  # fmt: skip
     out = Path(arguments.out)
     content = found.to_dict()
-    content["command"] = "greybox " + shlex.join(sys.argv[1:]) if sys.argv[1:2] == ["plan"] else "greybox plan"
+    content["command"] = typed("plan")
     segment = found.log.flights[0].segments[0]
     write_atomic(out / "experiment_1.csv", csv({"t": np.asarray(segment.t), **segment.channels}))
     write_json(out / "plan.json", content)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
@@ -60,10 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"  {name} ...", file=sys.stderr, flush=True)
         profiles.append(profile(found, name, level=arguments.level))
     out = Path(arguments.out)
-    ours = sys.argv[1:2] == ["profile"]
     content = {
         "schema": "greybox.profile/1",
-        "command": "greybox " + shlex.join(sys.argv[1:]) if ours else "greybox profile",
+        "command": typed("profile"),
         "model": found.model.name, "level": arguments.level, "profiles": [_plain(p, found) for p in profiles],
     }  # fmt: skip
     write_json(out / "profile.json", content)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.channel import command_names
+from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -37,11 +38,6 @@ def _held(values: FloatArray) -> FloatArray:
     known = np.isfinite(values)
     last = np.maximum.accumulate(np.where(known, np.arange(values.size), -1))
     return np.where(last >= 0, values[np.maximum(last, 0)], 0.0)
-
-
-def _runs(mask: BoolArray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def airborne(
@@ -70,7 +66,7 @@ def airborne(
     if keep.sum() < max(2, 0.02 * t.size):
         return everything, ("no flight found by command and height: nothing cut",)
     notes = tuple(
-        f"on the ground or near it: cut t = {t[a]:.3f} .. {t[b - 1]:.3f} s ({b - a} rows)" for a, b in _runs(~keep)
+        f"on the ground or near it: cut t = {t[a]:.3f} .. {t[b - 1]:.3f} s ({b - a} rows)" for a, b in runs(~keep)
     )
     return keep, notes or ("begins and ends in flight: nothing cut",)
 
@@ -86,7 +82,7 @@ def _flat(height: FloatArray | None, rows: slice) -> bool | None:
 def _standing(t: FloatArray, share: FloatArray, height: FloatArray | None) -> Sequence[tuple[int, int]]:
     """Row ranges on the ground: at the ends of the log, and inside it with idle motors."""
     n = t.size
-    runs = [(a, b) for a, b in _runs(share < 0.5) if t[b - 1] - t[a] >= IDLE_TIME]
+    idle = [(a, b) for a, b in runs(share < 0.5) if t[b - 1] - t[a] >= IDLE_TIME]
     strong = np.flatnonzero(share >= 0.7)
     head = slice(0, int(np.searchsorted(t, t[0] + WINDOW)))
     tail = slice(int(np.searchsorted(t, t[-1] - WINDOW)), n)
@@ -110,8 +106,8 @@ def _standing(t: FloatArray, share: FloatArray, height: FloatArray | None) -> Se
             weak = t[rows][share[rows] < 0.7] if flat is None else t[rows]
             if weak.size:
                 first = int(np.searchsorted(t, weak[0]))
-                runs.append((first, int(np.searchsorted(t, weak[-1])) + 1))
-    return sorted(runs)
+                idle.append((first, int(np.searchsorted(t, weak[-1])) + 1))
+    return sorted(idle)
 
 
 def _widened(t: FloatArray, share: FloatArray, height: FloatArray | None, start: int, stop: int) -> tuple[int, int]:

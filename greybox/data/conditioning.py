@@ -20,6 +20,7 @@ from greybox.data.raw import RawLog
 from greybox.data.resampling import AVERAGE_FROM, averaged, continuous_signs, held, interpolated
 from greybox.data.segment import Segment
 from greybox.errors import DataError
+from greybox.runs import runs
 
 FloatArray = npt.NDArray[np.float64]
 Columns = dict[str, npt.NDArray[Any]]
@@ -123,9 +124,7 @@ def _stretches(clock: Clock, keep: npt.NDArray[np.bool_]) -> list[tuple[int, int
     """(start, stop) rows of the kept stretches that no gap interrupts."""
     out = []
     for start, stop in clock.blocks:
-        mask = np.concatenate([[False], keep[start:stop], [False]]).astype(np.int8)
-        edges = np.flatnonzero(np.diff(mask)) + start
-        out += [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        out += [(start + a, start + b) for a, b in runs(keep[start:stop])]
     return out
 
 
@@ -217,10 +216,9 @@ def _with_commands(pieces: list[Segment], max_gap: float) -> tuple[list[Segment]
         lost += int((~good).sum())
         if (usable & ~known).any():
             piece = piece.replace({n: np.where(usable[:, j], carried[:, j], np.nan) for j, n in enumerate(names)})
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
+        for a, b in runs(np.asarray(good)):
             if b - a >= 2:
-                out.append(piece if (a, b) == (0, piece.n) else piece.rows(int(a), int(b)))
+                out.append(piece if (a, b) == (0, piece.n) else piece.rows(a, b))
             else:
                 lost += 1
     notes = []

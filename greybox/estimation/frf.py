@@ -16,13 +16,14 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.data.airframe import Airframe
 from greybox.errors import DataError
-from greybox.estimation.frf_channels import channels, mixed, weights_of
-from greybox.estimation.frf_result import TRUSTED, FrequencyResponse, pair_of
+from greybox.estimation.frf_channels import channels, mixed, vehicle_of, weights_of
+from greybox.estimation.frf_result import TRUSTED, FrequencyResponse, Pair
 from greybox.estimation.lag_and_gain import lag_and_gain
 from greybox.estimation.linear.logs import ChannelSpec
 from greybox.model.frequency_response import response_of
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
+from greybox.runs import runs
 from greybox.statistics.feedback import follows
 from greybox.statistics.spectra import (
     FEWEST_CYCLES,
@@ -31,11 +32,12 @@ from greybox.statistics.spectra import (
     Response,
     averages_in,
     by_chance,
+    circle,
     frequencies,
     response,
-    runs,
     spectra,
 )
+from greybox.statistics.spectra import band as band_of
 from greybox.symbolic import BoolArray, FloatArray
 
 LONGEST = 16.0
@@ -90,8 +92,7 @@ def frf(
     window: float | None = None,
 ) -> FrequencyResponse:
     """The estimate behind `greybox.frf`, which says what the arguments mean and what is raised."""
-    if vehicle is None and isinstance(model, IdentifiedModel) and model.sensors:
-        vehicle = model.physics.vehicle
+    vehicle = vehicle or vehicle_of(model)
     c = _channels(inputs, outputs, references, vehicle)
     stretches, seconds = _stretches(data, c)
     dt = data.flights[0].dt
@@ -114,11 +115,22 @@ def frf(
         & (r.shared < TOGETHER)[:, None, :]
     )
     beside = None if model is None else _of_model(model, c, f)
-    pairs = {}
+    pairs, half, radius = {}, band_of(r), circle(r)
     for i, j in product(range(len(c.y)), range(len(c.u))):
         n = INTEGRATORS.get(c.outputs[i].name)
         form = lag_and_gain(f, r.value[:, i, j], r.error[:, i, j], usable[:, i, j], n)
-        pair = pair_of(r, f, usable[:, i, j], (i, j), (c.outputs[i], c.inputs[j]), form, beside)
+        pair = Pair(
+            output=c.outputs[i],
+            input=c.inputs[j],
+            frequency=f,
+            value=r.value[:, i, j],
+            half=half[:, i, j],
+            radius=radius[:, i, j],
+            coherence=r.coherence[:, i, j],
+            usable=usable[:, i, j],
+            form=form,
+            model=None if beside is None else beside[:, i, j],
+        )
         pairs[pair.name] = pair
     return FrequencyResponse(
         pairs=pairs,
@@ -172,7 +184,7 @@ def _stretches(data: Dataset, c: _Channels) -> tuple[list[FloatArray], dict[str,
         for segment in flight.segments:
             columns = mixed(segment, c.all)
             known = np.asarray(np.isfinite(columns).all(axis=1))
-            whole = [columns[s] for s in runs(known)]
+            whole = [columns[a:b] for a, b in runs(known)]
             found += whole
             seconds[flight.name] = seconds.get(flight.name, 0.0) + flight.dt * sum(
                 len(x) for x in whole
@@ -217,14 +229,11 @@ def _longest(lengths: Sequence[int], dt: float, sources: int, window: float | No
 
 def _of_model(model: IdentifiedModel | LinearModel, c: _Channels, f: FloatArray) -> ComplexArray:
     """The model's response (K, p, q); NaN from half its sample rate on."""
-    dynamics = model if isinstance(model, LinearModel) else model.dynamics
-    dt = model.dt if isinstance(model, LinearModel) else model.sample_time
-    seen = weights_of(c.outputs, dynamics.innovations.names, f"model {model.name}", "output")
-    driven = np.linalg.pinv(
-        weights_of(c.inputs, dynamics.inputs.names, f"model {model.name}", "input")
-    )
+    dynamics, who = model.dynamics, f"model {model.name}"
+    seen = weights_of(c.outputs, dynamics.innovations.names, who, "output")
+    driven = np.linalg.pinv(weights_of(c.inputs, dynamics.inputs.names, who, "input"))
     out = np.full((f.size, len(c.y), len(c.u)), np.nan, dtype=np.complex128)
-    known = f < 0.49 / dt
+    known = f < 0.49 / model.sample_time
     out[known] = seen @ response_of(model, f[known]) @ driven
     return out
 
@@ -264,9 +273,9 @@ def _warnings(
             f"{', '.join(smoothed)} was smoothed with later samples: phases are not those of the craft"
         )
     if model is not None:
-        dt = model.dt if isinstance(model, LinearModel) else model.sample_time
-        if abs(dt / data.flights[0].dt - 1) > 1e-3:
+        own, dt = model.sample_time, data.flights[0].dt
+        if abs(own / dt - 1) > 1e-3:
             said.append(
-                f"the flights have {1 / data.flights[0].dt:.4g} Hz, the model {1 / dt:.4g}: commands are held differently"
+                f"the flights have {1 / dt:.4g} Hz, the model {1 / own:.4g}: commands are held differently"
             )
     return said

@@ -15,6 +15,8 @@ from greybox.data import Segment
 from greybox.data.airframe import Airframe
 from greybox.errors import DataError, UnknownNameError
 from greybox.estimation.linear.logs import ChannelSpec
+from greybox.model.identified import IdentifiedModel
+from greybox.model.linear import LinearModel
 from greybox.symbolic import FloatArray
 
 MIXERS = ("roll", "pitch", "yaw", "thrust")
@@ -38,6 +40,13 @@ def mixers(vehicle: Airframe) -> dict[str, ChannelSpec]:
         )
         for name, row in zip(names, weights, strict=True)
     }
+
+
+def vehicle_of(model: IdentifiedModel | LinearModel | None) -> Airframe | None:
+    """The vehicle that a model was built of; None where it has none."""
+    if isinstance(model, IdentifiedModel) and model.sensors:
+        return model.physics.vehicle
+    return None
 
 
 def channels(texts: Sequence[str], vehicle: Airframe | None, what: str) -> tuple[ChannelSpec, ...]:

@@ -11,8 +11,9 @@ import numpy as np
 
 from greybox.estimation.lag_and_gain import LagAndGain
 from greybox.estimation.linear.logs import ChannelSpec
+from greybox.runs import runs
 from greybox.shown import Cell, Shown
-from greybox.statistics.spectra import ComplexArray, Response, band, circle, runs
+from greybox.statistics.spectra import ComplexArray
 from greybox.symbolic import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ class Pair:
 
     def usable_bands(self) -> str:
         """The usable frequencies in words."""
-        parts = [self.frequency[s] for s in runs(self.usable)]
+        parts = [self.frequency[a:b] for a, b in runs(self.usable)]
         return ", ".join(
             f"{p[0]:.2g} to {p[-1]:.2g} Hz" if len(p) > 1 else f"{p[0]:.2g} Hz" for p in parts
         )
@@ -132,7 +133,7 @@ class Pair:
             return
         known = self.usable & np.isfinite(self.model)
         inside = f"inside the 95 % circle at {int((known & ~outside).sum())} of {int(known.sum())} usable frequencies"
-        bands = [s for s in runs(outside) if s.stop - s.start > 1]
+        bands = [slice(a, b) for a, b in runs(outside) if b - a > 1]
         for s in bands:
             f, ratio = self.frequency[s], self.model[s] / self.value[s]
             off = np.abs(ratio - 1)
@@ -292,28 +293,3 @@ class FrequencyResponse(Shown):
             axis.set_xscale("log")
         axes[0].set_yscale("log")
         return axes
-
-
-def pair_of(
-    r: Response,
-    frequency: FloatArray,
-    usable: BoolArray,
-    place: tuple[int, int],
-    channels: tuple[ChannelSpec, ChannelSpec],
-    form: LagAndGain | None,
-    model: ComplexArray | None,
-) -> Pair:
-    """The pair at `place` (output, input) of a response (K, p, q)."""
-    i, j = place
-    return Pair(
-        output=channels[0],
-        input=channels[1],
-        frequency=frequency,
-        value=r.value[:, i, j],
-        half=band(r)[:, i, j],
-        radius=circle(r)[:, i, j],
-        coherence=r.coherence[:, i, j],
-        usable=usable,
-        form=form,
-        model=None if model is None else model[:, i, j],
-    )

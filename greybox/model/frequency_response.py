@@ -16,6 +16,7 @@ from greybox.errors import ModelError
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
+from greybox.model.linearise import deviations
 from greybox.model.parameter import nominal_values
 from greybox.symbolic import FloatArray
 
@@ -63,14 +64,9 @@ def _slopes(
     columns, n_u = past + 1 + future, len(u)
     window = ca.SX.sym("window", n_u, columns)
     delta = ca.SX.sym("delta", len(model.error_states))
-    w = ca.SX.zeros(len(model.noises))
-    x0, p0 = ca.DM(x), ca.DM(p)
-    at_rest = ca.repmat(ca.DM(u), 1, columns)
-    base = model.step(0.0, x0, at_rest, p0, w, dt)
-    here = model.output(0.0, x0, at_rest, p0, w, dt)
-    moved = model.boxplus(x0, delta)
-    after = model.boxminus(model.step(0.0, moved, window, p0, w, dt), base)
-    seen = model.innovation(model.output(0.0, moved, window, p0, w, dt), here, x0)
+    x0, at_rest = ca.DM(x), ca.repmat(ca.DM(u), 1, columns)
+    moved = model.boxplus(x0, delta), window
+    after, seen = deviations(model, dt, (x0, at_rest), moved, ca.DM(p))
     by = (delta, ca.vec(window))
     slopes = [ca.densify(ca.jacobian(q, v)) for v in by for q in (after, seen)]
     found = ca.Function("slopes", [delta, window], slopes)(0, at_rest)

@@ -102,6 +102,16 @@ class LinearModel(Shown):
         return rows
 
     @property
+    def dynamics(self) -> LinearModel:
+        """Itself: the equations, as of an identified model."""
+        return self
+
+    @property
+    def sample_time(self) -> float:
+        """`dt` [s], as of an identified model."""
+        return self.dt
+
+    @property
     def order(self) -> int:
         """Number of states n."""
         return self.matrices.order

@@ -19,7 +19,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.model.parameter import ParameterValues, nominal_values
-from greybox.symbolic import FloatArray, Layout
+from greybox.symbolic import Expr, FloatArray, Layout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,20 +254,26 @@ def _symbols(model: Dynamics) -> tuple[Any, Any, Any, Any]:
 
 def _jacobians(model: Dynamics, dt: float) -> Any:
     x, u, p, window = _symbols(model)
-    delta = ca.SX.sym("delta", len(model.error_states))
-    w = ca.SX.zeros(len(model.noises))
-    base = model.step(0.0, x, window, p, w, dt)
-    moved = model.boxplus(x, delta)
-    after = model.boxminus(model.step(0.0, moved, window, p, w, dt), base)
-    e = model.innovation(model.output(0.0, moved, window, p, w, dt), model.output(0.0, x, window, p, w, dt), x)
-    v = ca.SX.sym("v", len(model.inputs))
+    delta, v = ca.SX.sym("delta", len(model.error_states)), ca.SX.sym("v", len(model.inputs))
     driven = ca.repmat(v, 1, window.shape[1])
-    by_u = model.boxminus(model.step(0.0, x, driven, p, w, dt), base)
-    e_u = model.innovation(model.output(0.0, x, driven, p, w, dt), model.output(0.0, x, window, p, w, dt), x)
+    after, e = deviations(model, dt, (x, window), (model.boxplus(x, delta), window), p)
+    by_u, e_u = deviations(model, dt, (x, window), (x, driven), p)
     zero = ca.SX.zeros(delta.shape)
     a, c = (ca.substitute(ca.jacobian(q, delta), delta, zero) for q in (after, e))
     b, d = (ca.substitute(ca.jacobian(q, v), v, u) for q in (by_u, e_u))
     return ca.Function("linear", [x, u, p], [ca.densify(m) for m in (a, b, c, d)])
+
+
+def deviations(
+    model: Dynamics, dt: float, rest: tuple[Expr, Expr], moved: tuple[Expr, Expr], p: Expr
+) -> tuple[Expr, Expr]:
+    """(error state (n_d) after one sample of `dt` seconds, innovation (n_e)) of `moved`, a state and its command window,
+    against `rest`, without noise."""
+    w = ca.SX.zeros(len(model.noises))
+    (x0, u0), (x, u) = rest, moved
+    after = model.boxminus(model.step(0.0, x, u, p, w, dt), model.step(0.0, x0, u0, p, w, dt))
+    seen = model.innovation(model.output(0.0, x, u, p, w, dt), model.output(0.0, x0, u0, p, w, dt), x0)
+    return after, seen
 
 
 def _output_function(model: Dynamics, dt: float) -> Any:

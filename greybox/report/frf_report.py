@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
+from greybox.estimation.frf_result import TRUSTED
 from greybox.report.figures import (
     _BOTTOM,
     _LEFT,
@@ -24,8 +25,6 @@ from greybox.report.figures import (
 )
 from greybox.report.html import Cell, Key, Report
 
-TRUSTED = 0.6
-"""Level that is drawn into the coherence."""
 MOST = 12
 """Responses that are drawn, at most."""
 
@@ -55,7 +54,8 @@ def frf_report(content: Mapping[str, Any]) -> str:
             _figure_of(content["frequency"], p),
             alt=alt,
             key=key,
-            caption="Where coherence is too low for use the curve is pale and without a band. Dashed: coherence 0.6.",
+            caption="Where coherence is too low for use the curve is pale and without a band. Dashed: coherence "
+            f"{TRUSTED:g}.",
         )
     if rest := [p for p in content["pairs"] if not any(p["usable"])]:
         report.heading("Too low a coherence at every frequency")

@@ -94,12 +94,12 @@ class BasePredictor:
     @property
     def dynamics(self) -> Any:
         """The model's equations."""
-        return self.model if isinstance(self.model, LinearModel) else self.model.dynamics
+        return self.model.dynamics
 
     @property
     def dt(self) -> float:
         """Sample time [s]."""
-        return self.model.dt if isinstance(self.model, LinearModel) else self.model.sample_time
+        return self.model.sample_time
 
     @cached_property
     def filter(self) -> Filter:

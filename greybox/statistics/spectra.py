@@ -19,7 +19,7 @@ import numpy.typing as npt
 import scipy.signal
 import scipy.stats
 
-from greybox.symbolic import BoolArray, FloatArray
+from greybox.symbolic import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -176,12 +176,6 @@ def by_chance(averages: FloatArray, others: int, level: float = 0.95) -> FloatAr
     """Coherence (K,) that two independent signals stay below at `level`; `others` inputs besides."""
     left = np.maximum(averages - 1 - others, 1e-9)
     return np.asarray(1 - (1 - level) ** (1 / left))
-
-
-def runs(good: BoolArray) -> list[slice]:
-    """Stretches of True in `good` (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _window_for(frequency: FloatArray, longest: float) -> FloatArray:

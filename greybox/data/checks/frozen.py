@@ -12,6 +12,7 @@ import numpy as np
 from greybox.data.channel import group_names
 from greybox.data.checks.finding import Check, Finding, Unjudged, per_flight
 from greybox.data.checks.view import FloatArray, View
+from greybox.runs import runs
 
 GROUPS = ("rate", "specific_force", "attitude", "position", "velocity")
 FROZEN_TIME = 0.2
@@ -28,9 +29,8 @@ BLOCKING_SHARE = 0.05
 
 def frozen_runs(values: FloatArray, rows: int) -> list[tuple[int, int]]:
     """(start, stop) of the runs of at least `rows` rows of (N, k) in which no column changes."""
-    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1), [False]]).astype(np.int8)
-    edges = np.flatnonzero(np.diff(same))
-    return [(int(a), int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True) if b + 1 - a >= rows]
+    same = (np.diff(values, axis=0) == 0.0).all(axis=1)
+    return [(a, b + 1) for a, b in runs(same) if b + 1 - a >= rows]
 
 
 def _moves(values: FloatArray, rows: int) -> bool:

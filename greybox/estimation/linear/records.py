@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from greybox.errors import DataError
+from greybox.runs import runs
 from greybox.symbolic import FloatArray
 
 
@@ -138,18 +139,10 @@ def split_at_missing(u: FloatArray, y: FloatArray, *, name: str = "record", long
     """
     bad = np.asarray(~np.isfinite(u).all(axis=1))
     dark = np.asarray(~np.isfinite(y).any(axis=1))
-    start = 0
-    while start < len(dark):
-        if dark[start]:
-            end = start
-            while end < len(dark) and dark[end]:
-                end += 1
-            if end - start > longest:
-                bad[start:end] = True
-            start = end
-        start += 1
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], bad, [True]]).astype(int)))
-    pairs = edges.reshape(-1, 2)
+    for start, end in runs(dark):
+        if end - start > longest:
+            bad[start:end] = True
+    pairs = runs(~bad)
     whole = len(pairs) == 1
     return [Record(u=u[a:b], y=y[a:b], name=name if whole else f"{name}[{a}:{b}]") for a, b in pairs if b - a >= 2]
 
