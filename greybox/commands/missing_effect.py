@@ -52,6 +52,7 @@ def write_story(folder: Path, hidden: Sequence[PlantEffect], seconds: float = 16
 def tell(folder: Path, hidden: Sequence[PlantEffect]) -> None:
     """Print what was hidden beside what discovery.json in `folder` names, and how the gap closed."""
     from greybox.files import read_json
+    from greybox.validation.gap import closed_in_words
 
     found = read_json(folder / "discovery.json")
     named = {e["name"]: e["parameters"] for e in found["effects"]}
@@ -67,7 +68,9 @@ def tell(folder: Path, hidden: Sequence[PlantEffect]) -> None:
     print("named and not there:", ", ".join(others) or "nothing")
     for r in found["gap"]:
         if r["horizon_s"] == 0.5:
-            closed = "no gap" if r["closed"] is None else f"{100 * r['closed']:.1f} % closed"
+            closed = (
+                "no gap" if r["closed"] is None else f"gap closed: {closed_in_words(r['closed'])}"
+            )
             print(
                 f"{r['group']:10s} 0.5 s ahead: {r['before']:8.4g} -> {r['after']:8.4g} "
                 f"{r['unit']:6s} {closed}"

@@ -16,6 +16,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from scenarios.studies.docs_glossary import table
+
 HEAD = """# Reference
 
 Commands and public names, each with what it takes, written by `python -m scenarios.studies.docs_reference` from the code.
@@ -185,7 +187,7 @@ def python_interface() -> str:
 
 def page() -> str:
     """The whole page."""
-    return "\n".join([HEAD, command_line(), python_interface()])
+    return "\n".join([HEAD, command_line(), python_interface(), table()])
 
 
 if __name__ == "__main__":
