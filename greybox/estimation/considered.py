@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
@@ -23,6 +24,8 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, make_problem
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
+
+Places = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +87,7 @@ def considered(
 
 
 def _by_flights_alone(
-    hessian: FloatArray, unknown: FloatArray, held: FloatArray, sigma: FloatArray
+    hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray
 ) -> FloatArray:
     """Standard error (n_c,) of every held parameter by the data's Hessian, the other held ones
     known to `sigma` (n_c,); infinite where the flights say nothing."""

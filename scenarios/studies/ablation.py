@@ -64,7 +64,7 @@ def run(name: str, out: Path, seeds: Sequence[int]) -> None:
 
 def errors(folder: Path) -> dict[tuple[str, str], float]:
     """(flight set, group) -> RMSE at HORIZON of every fit below a folder."""
-    found = {}
+    found: dict[tuple[str, str], float] = {}
     for path in sorted(folder.glob("*/fit/validate.json")):
         table: Any = json.loads(path.read_text(encoding="utf-8"))
         (row,) = (r for r in table["horizons"] if abs(r["seconds"] - HORIZON) < 1e-6)

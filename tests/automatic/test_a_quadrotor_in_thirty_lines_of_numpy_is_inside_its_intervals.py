@@ -34,9 +34,7 @@ def slope(s: np.ndarray, u: np.ndarray, force: np.ndarray, torque: np.ndarray) -
     lift = THRUST * nu**2
     push = matrix(q) @ (np.array([0, 0, lift.sum()]) + force) / MASS - [0, 0, GRAVITY]
     moment = np.array([Y @ lift, -X @ lift, -SPIN @ (TORQUE * nu**2)]) + torque
-    turn = 0.5 * np.array(
-        [-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))]
-    )
+    turn = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
     return np.concatenate([v, push, turn, (moment - np.cross(w, INERTIA * w)) / INERTIA, (u - nu) / LAG])
 
 
@@ -62,7 +60,7 @@ def flight(path: Path, seed: int, seconds: float = 20.0) -> None:
             aim = rng.uniform(-1.2, 1.2, 3) * [1, 1, 0.5]
         shake = np.array([5, 5, 1.5]) * np.sin(2 * np.pi * tones[0] * k * STEP + tones[1]).sum(axis=0) / 2
         u = command(s, aim, shake)
-        around = (slope(s, u, force, torque)[3:6] + [0, 0, GRAVITY]) @ matrix(s[6:10])
+        around = np.add(slope(s, u, force, torque)[3:6], [0, 0, GRAVITY]) @ matrix(s[6:10])
         read = np.concatenate([s[:3] + 0.002 * rng.normal(size=3), s[3:6] + 0.02 * rng.normal(size=3)])
         q = s[6:10] + 0.0015 * np.array([0, *rng.normal(size=3)])
         imu = np.concatenate([s[10:13], around]) + np.array(list(NOISE.values())) * rng.normal(size=6)
@@ -84,9 +82,7 @@ def vehicle(path: Path, rng: np.random.Generator) -> None:
     wrong = np.exp(rng.normal(size=5) * [0.25, 0.25, 0.25, 0.15, 0.25])
     i = INERTIA * wrong[:3]
     i[2] = min(i[2], 0.98 * (i[0] + i[1]))
-    rotors = "".join(
-        f"[[rotor]]\nposition = [{x}, {y}, 0.0]\nspin = {n}\n" for x, y, n in zip(X, Y, SPIN, strict=True)
-    )
+    rotors = "".join(f"[[rotor]]\nposition = [{x}, {y}, 0.0]\nspin = {n}\n" for x, y, n in zip(X, Y, SPIN, strict=True))
     path.write_text(
         f"""schema = "greybox.vehicle/2"
 name = "thirty lines"
