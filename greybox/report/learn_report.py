@@ -23,6 +23,7 @@ LEARNED = {
     "gp": "A Gaussian process",
     "random-features": "A sum of random features",
     "neural": "The Bayesian last layer of a small network",
+    "ensemble": "The mean of an ensemble of small networks",
     "sparse": "A law of few terms",
 }
 FAR = "Far from the training flights it fades to nothing and the physics remains."

@@ -110,6 +110,9 @@ def feature_candidates(
             expected="features(x, y, points, seed) -> {name: column of a CasADi column}", fix="see docs/own_learner.md",
         ) from None  # fmt: skip
     out: dict[str, FeaturePosterior] = {}
+    members = len(columns) if getattr(learner, "ensemble", False) else 1
+    if members > 1:
+        columns = {f"ensemble of {members}": _side_by_side(learner, list(columns.values()))}
     for label, phi in columns.items():
         if phi.size2_out(0) != 1 or not phi.numel_out(0):
             raise ModelError(
@@ -122,7 +125,7 @@ def feature_candidates(
             )  # fmt: skip
         out[label] = silent_features(
             phi, method=learner.name, inputs=seen.inputs, outputs=seen.outputs, input_mean=middle, input_scale=spread,
-            output_scale=size, domain=Domain(lower=of.z.min(axis=0), upper=of.z.max(axis=0), samples=len(of.z)),
+            output_scale=size, members=members, domain=Domain(lower=of.z.min(axis=0), upper=of.z.max(axis=0), samples=len(of.z)),
         )  # fmt: skip
     return out
 
@@ -131,6 +134,18 @@ def _column(made: Callable[[Any], Any], inputs: int) -> Any:
     """The features as a CasADi function of standardised inputs."""
     s = ca.SX.sym("x", inputs)
     return ca.Function("phi", [s], [ca.densify(ca.SX(made(s)))])
+
+
+def _side_by_side(learner: Learner, members: list[Any]) -> Any:
+    """The features of all members of an ensemble as one column. Raises `ModelError` where they are not alike."""
+    sizes = sorted({phi.numel_out(0) for phi in members})
+    if len(sizes) > 1:
+        raise ModelError(
+            f"learner {learner.name}: members of an ensemble of different size", expected="as many features each",
+            got=" and ".join(map(str, sizes)),
+        )  # fmt: skip
+    s = ca.SX.sym("x", members[0].numel_in(0))
+    return ca.Function("phi", [s], [ca.vertcat(*(phi(s) for phi in members))])
 
 
 def _spread(values: FloatArray) -> FloatArray:

@@ -49,6 +49,8 @@ class FeaturePosterior(AsFunction):
     prior: FloatArray
     noise: FloatArray
     domain: Domain
+    members: int = 1
+    """How many equal blocks of features were fitted each on its own (an ensemble); a file does not need it."""
 
     def __post_init__(self) -> None:
         n_in, n_out, m = len(self.inputs), len(self.outputs), self.phi.numel_out(0)
@@ -181,12 +183,12 @@ class FeaturePosterior(AsFunction):
 
 def silent_features(
     phi: Any, *, method: str, inputs: Layout, outputs: Layout, input_mean: FloatArray, input_scale: FloatArray,
-    output_scale: FloatArray, domain: Domain,
+    output_scale: FloatArray, domain: Domain, members: int = 1,
 ) -> FeaturePosterior:  # fmt: skip
     """Features ready for `fit_open_loop`, their weights still zero."""
     m, n_out = phi.numel_out(0), len(outputs)
     return FeaturePosterior(
         inputs=inputs, outputs=outputs, method=method, phi=phi, input_mean=input_mean, input_scale=input_scale,
         output_scale=output_scale, weights=np.zeros((m, n_out)), root=np.zeros((n_out, m, m)), prior=np.ones(n_out),
-        noise=output_scale**2, domain=domain,
+        noise=output_scale**2, domain=domain, members=members,
     )  # fmt: skip

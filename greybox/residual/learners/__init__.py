@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.residual.learners.deep_ensemble import DeepEnsemble
 from greybox.residual.learners.learner import Features, Learner
 from greybox.residual.learners.neural import NeuralLastLayer
 from greybox.residual.learners.random_features import RandomFeatures
@@ -13,8 +15,8 @@ from greybox.residual.learners.sparse_law import SparseLaw
 __all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_of"]
 
 GP = "gp"
-LEARNERS: dict[str, type[RandomFeatures] | type[NeuralLastLayer] | type[SparseLaw]] = {
-    c.name: c for c in (RandomFeatures, NeuralLastLayer, SparseLaw)
+LEARNERS: dict[str, Callable[[], Learner]] = {
+    c.name: c for c in (RandomFeatures, NeuralLastLayer, DeepEnsemble, SparseLaw)
 }
 
 
