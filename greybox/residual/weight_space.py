@@ -4,8 +4,8 @@ g_j(z) = s_j psi_j(x)'theta_j with theta ~ N(0, I) before the data. Of a Gaussia
 K = L L'; of a learner's features psi = phi for every output. The two kinds differ in this file and nowhere else.
 
 The K members of an ensemble stand side by side as one wide column of features. Each is fitted on its own, theta_k from its
-own block of the Hessian (`alone`); the ensemble is their mean, with weights theta_k/K, and how much they disagree is part of
-its variance: a quadratic form of the same features (Lakshminarayanan, Pritzel and Blundell 2017, NIPS, eq. 2 for the mixture).
+own block of the Hessian (`alone`); the ensemble is their mean, with weights theta_k/K, and how much they disagree is part
+of its variance: a quadratic form of the same features (Lakshminarayanan, Pritzel and Blundell 2017, NIPS).
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.residual.feature_posterior import FeaturePosterior
+from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.sparse import safe_cholesky, variational
-from greybox.symbolic import Expr, FloatArray, evaluate
+from greybox.symbolic import BoolArray, Expr, FloatArray, evaluate
 
 Candidate = GPPosterior | FeaturePosterior
 """A learned part whose features are chosen and whose weights are open."""
@@ -93,6 +94,21 @@ def silent(post: Candidate) -> Candidate:
         return replace(post, weights=np.zeros_like(post.weights), root=np.zeros_like(post.root))
     zero = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain", "output_mean")}
     return replace(post, **zero)
+
+
+def without(post: Candidate, off: BoolArray, noise: FloatArray) -> Candidate:
+    """The same whose outputs in `off` (n_out,) say nothing: no mean, no variance but their `noise` (n_out,)."""
+    on, level = ~off, np.where(off, noise, post.noise)
+    if isinstance(post, FeaturePosterior):
+        return replace(post, weights=post.weights * on, root=post.root * on[:, None, None], noise=level)
+    kernels = tuple(
+        Kernel(family=k.family, lengthscales=k.lengthscales, variance=0.0) if o else k
+        for k, o in zip(post.kernels, off, strict=True)
+    )
+    return replace(
+        post, kernels=kernels, weights=post.weights * on, output_mean=post.output_mean * on,
+        explained=post.explained * on[:, None, None], uncertain=post.uncertain * on[:, None, None], noise=level,
+    )  # fmt: skip
 
 
 def fitted(

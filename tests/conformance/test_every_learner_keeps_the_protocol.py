@@ -56,6 +56,20 @@ class Broken(Bumps):
     def features(self, x, y, *, points, seed):
         return {"broken": lambda s: ca.log(s[0])}
 
+class Steep(Bumps):
+    def features(self, x, y, *, points, seed):
+        return {"steep": lambda s: ca.sqrt(ca.fabs(s))}
+
+class Void(Bumps):
+    def features(self, x, y, *, points, seed):
+        return np.nan * x
+
+class Uneven(Bumps):
+    ensemble = True
+
+    def features(self, x, y, *, points, seed):
+        return {"a": lambda s: s, "b": lambda s: s[0]}
+
 class Fails(Bumps):
     def features(self, x, y, *, points, seed):
         return {"fails": lambda s: nowhere(s)}
@@ -193,7 +207,13 @@ def test_a_users_own_learner_is_one_file(tmp_path: Path) -> None:
     assert broken is not None
     with pytest.raises(ModelError, match="not finite on the training flights"):
         feature_candidates(broken, rows(), points=12, seed=0)
-    for name, why in (("Fails", "NameError"), ("Wide", "no column")):
+    for name, why in (
+        ("Fails", "NameError"),
+        ("Wide", "no column"),
+        ("Steep", "not finite"),
+        ("Void", "failed"),
+        ("Uneven", "of different size"),
+    ):
         bad = learner_of(f"{tmp_path}/own.py:{name}")
         assert bad is not None
         with pytest.raises(ModelError, match=why):

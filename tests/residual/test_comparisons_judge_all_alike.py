@@ -17,8 +17,9 @@ from greybox.report.compare_report import compare_report, format_table
 from greybox.residual import compare_methods
 from greybox.residual.compare import compare
 from greybox.residual.compare_bench import Bench
-from greybox.residual.compare_methods import METHODS, Outcome, candidates
+from greybox.residual.compare_methods import METHODS, Outcome, candidates, pairs
 from greybox.residual.compare_scores import one_step_scores
+from greybox.residual.learners import LEARNERS
 from tests.simulated import flights, vehicle
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/compare.json").read_text())
@@ -116,6 +117,34 @@ def test_methods_that_the_issue_asks_for_are_there():
         next(compare(bench(), ("linear SIS PEM",)))
 
 
+def test_pairs_are_every_model_with_every_learner(judged):
+    found = pairs(("gp", *LEARNERS))
+    assert set(found) | set(METHODS) >= {
+        f"{base} PEM + {learner}"
+        for base in ("linear SISO", "linear MIMO", "nonlinear")
+        for learner in LEARNERS
+    } | {"linear PEM + GP", "linear MIMO PEM + GP", "nonlinear PEM + GP"}
+    judged.budget = 1
+    rows = next(compare(judged, ("linear MIMO PEM + sparse",), learners=("sparse",)))["methods"]
+    assert rows[0]["status"] == "done", rows[0]
+    assert rows[0]["search"][0]["points"] in (25, 50)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", ["gp", *LEARNERS])
+def test_every_pair_has_its_row(learner):
+    from greybox.estimation.fit import fit
+    from greybox.model.model import PhysicsModel
+
+    judge = bench(adapt=2.0, budget=1, points=12)
+    judge.fit = lambda: fit(PhysicsModel(vehicle()), judge.train, max_iterations=3)
+    *_, last = compare(judge, (), learners=(learner,))
+    for row in last["methods"]:
+        assert row["status"] == "done", row.get("error")
+        assert row["multi_step"] is not None
+        assert np.isfinite(row["mean"]["nlpd"])
+
+
 def test_a_linear_model_does_not_see_the_measurement_that_it_predicts(judged):
     at, segment, predictor = 400, judged.segments[0], judged.siso[0]
     moved = {n: np.where(np.arange(segment.n) == at, v + 0.1, v) for n, v in segment.channels.items() if n[0] != "u"}
@@ -132,6 +161,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     for extra, text in (
         (["--train", log, "--test", log], "both train and test"),
         (["--train", log, "--test", log, "--budget", "0"], "--budget"),
+        (["--train", log, "--test", log, "--learners", "neura"], "neural"),
         (["--train", log, "--test", log, "--adapt", "-1"], "--adapt"),
     ):
         assert main([*common, *extra]) == 2

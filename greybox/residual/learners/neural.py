@@ -44,7 +44,7 @@ def _layers(v: FloatArray, n_in: int, units: int, n_out: int) -> list[FloatArray
 
 
 def trained(x: FloatArray, y: FloatArray, *, units: int, seed: int) -> Features:
-    """The `units` of the last hidden layer and the inputs, of a network that was trained on rows x (N, n_in), y (N, n_out)."""
+    """The `units` of the last hidden layer and the inputs, of a network trained on rows x (N, n_in), y (N, n_out)."""
     n, n_in, n_out = len(x), x.shape[1], y.shape[1]
     size = FIRST * n_in + FIRST + units * FIRST + units + n_out * units
     start = np.random.default_rng(seed).standard_normal(size)
