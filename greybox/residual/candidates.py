@@ -123,7 +123,8 @@ def feature_candidates(
         if not _finite(phi, x):
             raise ModelError(
                 f"learner {learner.name}: {label} is not finite on the training flights",
-                expected="finite features and slopes at standardised inputs", fix="bound what it divides by or takes the root of",
+                expected="finite features and slopes at standardised inputs",
+                fix="bound what it divides by or takes the root of",
             )  # fmt: skip
         out[label] = silent_features(
             phi, method=learner.name, inputs=seen.inputs, outputs=seen.outputs, input_mean=middle, input_scale=spread,

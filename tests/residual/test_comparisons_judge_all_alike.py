@@ -85,6 +85,7 @@ def test_the_page_and_the_table_name_every_method(results):
     assert "ZeroDivisionError" in page
     ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
     assert page.count("PIT histogram of") >= 2
+    assert page.count("histogram of the errors of") >= 2
     assert "h=50" in text
 
 
@@ -102,6 +103,20 @@ def test_means_are_over_standardised_channels():
     y[5] = np.nan
     with pytest.raises(DataError, match="have no prediction"):
         one_step_scores([np.ones_like(y)], [y], [np.ones_like(y)], spread=np.ones(2), **given)
+
+
+def test_a_deviation_that_follows_the_error_and_the_manoeuvre_is_seen_to_do_so():
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((4000, 2))
+    size = 0.1 + np.linalg.norm(u - u.mean(axis=0), axis=1)[:, None]
+    y = size * rng.standard_normal((4000, 1))
+    given = {"names": ("p",), "units": ("",), "dt": 0.01, "spread": np.ones(1)}
+    told = one_step_scores([y], [0 * y], [size**2], [u], **given)["channels"]["p"]
+    assert told["sigma_manoeuvre"] == pytest.approx(1.0)
+    assert 0.3 < told["sigma_error"] < 0.7
+    assert sum(told["histogram"]) == pytest.approx(1.0) and len(told["histogram"]) == 16
+    flat = one_step_scores([y], [0 * y], [0 * y + 1.0], [u], **given)["channels"]["p"]
+    assert flat["sigma_error"] is None and flat["sigma_manoeuvre"] is None
 
 
 def test_all_searches_have_the_budget_and_try_every_kind():
