@@ -84,6 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     if is_linear(arguments.model):
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
+        if arguments.guard and arguments.learner != "gp":
+            raise GreyboxError("--guard is for the Gaussian process", got=f"--learner {arguments.learner}")
         if arguments.keep_impossible:
             raise GreyboxError(
                 "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"

@@ -10,6 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,9 @@ def _output_hybrid(
 ) -> Outcome:
     """`base` + what is learned of its one-step errors; features, kernel and size by the error on the held-back flights."""
     began = time.perf_counter()
-    space = {"kernel": KERNELS, "points": POINTS} if learner == GP else {"points": FEATURES}
+    space: dict[str, Sequence[Any]] = {"points": FEATURES}
+    if learner == GP:
+        space = {"kernel": KERNELS, "points": POINTS}
     points_tried = candidates(bench, {"features": tuple(choices), **space}, "features")
     own, judge = bench.split
     tried: list[dict[str, Any]] = []
@@ -226,6 +229,14 @@ METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
 }
 
 
+def _siso_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
+    return _linear_hybrid(bench, bench.siso[0], label, learner)
+
+
+def _mimo_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
+    return _linear_hybrid(bench, bench.mimo[0], label, learner)
+
+
 def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
     """Every model with each of `learners` (names, or files of the user's own), by the name of the method.
 
@@ -236,8 +247,8 @@ def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
         learner_of(learner)
         word = "GP" if learner == GP else learner
         siso, mimo, physics = (f"{b} PEM + {word}" for b in ("linear SISO", "linear MIMO", "nonlinear"))
-        out[mimo] = lambda b, n=mimo, k=learner: _linear_hybrid(b, b.mimo[0], n, k)  # type: ignore[misc]
+        out[mimo] = partial(_mimo_pair, label=mimo, learner=learner)
         if learner != GP:
-            out[siso] = lambda b, n=siso, k=learner: _linear_hybrid(b, b.siso[0], n, k)  # type: ignore[misc]
-            out[physics] = lambda b, k=learner: _hybrid(b, k)  # type: ignore[misc]
+            out[siso] = partial(_siso_pair, label=siso, learner=learner)
+            out[physics] = partial(_hybrid, learner=learner)
     return out

@@ -487,7 +487,8 @@ def _newton(
     """
     own, block = basis.members * theta, alone(hessian, basis.members, basis.m)
     slope = gradient + prior * own + (block @ own - hessian @ theta)
-    return -np.linalg.solve(block + np.diag(prior), slope) / basis.members, slope
+    step = -np.linalg.solve(block + np.diag(prior), slope) / basis.members
+    return np.asarray(step, dtype=np.float64), slope
 
 
 def _left_out(

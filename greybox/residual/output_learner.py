@@ -68,9 +68,11 @@ def fit_features(
         )
     saved = {n: float(1 - np.sum(t.error**2) / np.sum(rows.y**2)) for n, t in trials.items()}
     best = max(saved, key=lambda n: saved[n])
-    trial, last = trials[best], _LastLayer.of(found[best], rows)
+    candidate, trial = found[best], trials[best]
+    assert isinstance(candidate, FeaturePosterior)
+    last = _LastLayer.of(candidate, rows)
     everything = np.ones(len(rows.y), dtype=bool)
-    whole = last.fitted(everything, trial.strengths, trial.level / last.candidate.output_scale**2)
+    whole = last.fitted(everything, trial.strengths, trial.level / candidate.output_scale**2)
     seen = list(zip(trial.error.T, trial.variance.T, strict=True))
     judged, scores = judged_on_errors(whole, seen, rows.y, flights, own)
     assert isinstance(judged, FeaturePosterior)

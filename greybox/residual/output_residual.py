@@ -267,9 +267,11 @@ def fit_output_residual(
         inputs=inputs, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), z=z, y=r,
         flights=tuple(flights.tolist()),
     )  # fmt: skip
-    posterior, training = (
-        _process(base, rows, options, progress) if other is None else _learned(base, rows, other, options)
-    )
+    posterior: Candidate
+    if other is None:
+        posterior, training = _process(base, rows, options, progress)
+    else:
+        posterior, training = _learned(base, rows, other, options)
     settings = {"features": list(names), "learner": GP if other is None else other.name, "points": options.points}
     settings |= {"kernel": options.kernel} if other is None else {}
     return OutputHybrid(

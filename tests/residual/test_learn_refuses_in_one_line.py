@@ -49,6 +49,7 @@ CASES = {
     "unknown feature": (["model.json", "--train", "a.csv", "--inputs", "body_velocity.v"], "body_velocity"),
     "place and features": (["model.json", "--train", "a.csv", "--place", "--inputs", "p"], "--place"),
     "place of a linear model": (["linear.json", "--train", "a.csv", "--place"], "linear model"),
+    "a guard of a law": (["linear.json", "--train", "a.csv", "--guard", "--learner", "sparse"], "--guard"),
     "unknown kernel": (["model.json", "--train", "a.csv", "--kernel", "rbf"], "se"),
     "no such learner": (["model.json", "--train", "a.csv", "--learner", "nets"], "random-features"),
     "no such file of a learner": (["model.json", "--train", "a.csv", "--learner", "nets.py:Net"], "nets.py"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual.learners.deep_ensemble import DeepEnsemble
@@ -15,8 +15,11 @@ from greybox.residual.learners.sparse_law import SparseLaw
 __all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_for", "learner_of"]
 
 GP = "gp"
-LEARNERS: dict[str, Callable[[], Learner]] = {
-    c.name: c for c in (RandomFeatures, NeuralLastLayer, DeepEnsemble, SparseLaw)
+LEARNERS: Mapping[str, Callable[[], Learner]] = {
+    RandomFeatures.name: RandomFeatures,
+    NeuralLastLayer.name: NeuralLastLayer,
+    DeepEnsemble.name: DeepEnsemble,
+    SparseLaw.name: SparseLaw,
 }
 
 
