@@ -36,6 +36,7 @@ from greybox.model.identified import library_versions
 from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.compare_methods import METHODS, pairs
 from greybox.residual.compare_scores import one_step_scores
+from greybox.residual.learners import GP, LEARNERS
 
 SCHEMA = "greybox.compare/1"
 SHOWN = 4.0
@@ -47,11 +48,11 @@ def compare(
 ) -> Iterator[dict[str, Any]]:
     """Run the methods one after the other; yields the content of compare.json after each.
 
-    `methods` (default: all of the table), then every model with each of `learners` (`pairs`). A method that fails has its
-    error in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
+    `methods` (default: all of the table; pairs have names too), then every model with each of `learners` (`pairs`). A
+    method that fails has its error in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
     """
     more = pairs(learners)
-    there = {**METHODS, **more}
+    there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
     chosen = tuple(dict.fromkeys((*(METHODS if methods is None else methods), *more)))
     for name in chosen:
         if name not in there:
