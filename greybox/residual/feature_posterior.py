@@ -179,7 +179,9 @@ class FeaturePosterior(AsFunction, Shown):
         if value.get("schema") != SCHEMA:
             raise FileFormatError("wrong schema", expected=SCHEMA, got=repr(value.get("schema")))
         try:
-            numbers = {n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")}
+            numbers: dict[str, Any] = {
+                n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")
+            }
             return cls(
                 inputs=Layout([Signal(**s) for s in value["inputs"]]),
                 outputs=Layout([Signal(**s) for s in value["outputs"]]),
