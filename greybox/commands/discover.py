@@ -24,7 +24,7 @@ def set_aside(path: Path) -> Path:
 
 def _set_aside_laws(out: Path, laws: Mapping[str, str]) -> None:
     """Set laws of an earlier search aside, but for those that are the same now (`laws`: file name -> text)."""
-    from greybox.discovery.proposal import LAW_FILE
+    from greybox.residual.laws.effect_file import LAW_FILE
 
     for old in out.glob("proposal_*.py"):
         if LAW_FILE.fullmatch(old.name) and old.read_bytes() != laws.get(old.name, "").encode():
@@ -78,7 +78,6 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check_logs
-    from greybox.discovery.proposal import LAW_FILE
     from greybox.discovery.result import WITH_LAWS, Discovery
     from greybox.discovery.workflow import discover, refused
     from greybox.errors import GreyboxError
@@ -88,6 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
     from greybox.report.discover_report import discover_report
+    from greybox.residual.laws.effect_file import LAW_FILE
 
     quiet = arguments.json == "-"
     if not 0 < arguments.alpha < 1:

@@ -347,8 +347,4 @@ def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
     )
 
 
-def say_nothing(text: str, share: float) -> None:
-    """A progress that is not shown."""
-
-
 Say = Callable[[str, float], None]

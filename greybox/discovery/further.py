@@ -20,9 +20,9 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
+from greybox.data.lead import led
 from greybox.discovery.cause import Known, offer, since
 from greybox.discovery.evidence import Flights, Key, Structure
-from greybox.discovery.lead import led
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time

@@ -12,7 +12,7 @@ which is the whole truth for a linear model. A proposal decides nothing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,24 +157,6 @@ class Scores:
             if len(names) == 1 or share - alone > max(0.5 * (1 - alone), CLEARLY / cost):
                 rows.append((share, names, p))
         return sorted(rows, key=lambda row: (-row[0], len(row[1])))
-
-    def angle(self, one: Sequence[str], other: Sequence[str]) -> float:
-        """Cosine of the smallest principal angle between the projected sensitivities of two sets of
-        causes: 1 where the flights cannot tell some member of one from one of the other."""
-        a, b = self._rows(one), self._rows(other)
-        if not a or not b:
-            return 0.0
-        left = _root(self.information[np.ix_(a, a)])
-        right = _root(self.information[np.ix_(b, b)])
-        cross = left @ self.information[np.ix_(a, b)] @ right.T
-        return float(min(np.linalg.svd(cross, compute_uv=False).max(initial=0.0), 1.0))
-
-
-def _root(v: FloatArray) -> FloatArray:
-    """Rows that whiten a covariance v, (k, m); directions without information are left out."""
-    level, directions = np.linalg.eigh(v)
-    keep = level > 1e-9 * max(level.max(initial=0.0), DEAD)
-    return np.asarray((directions[:, keep] / np.sqrt(level[keep])).T)
 
 
 def scored(flights: Flights, at: Fitted) -> Scores:

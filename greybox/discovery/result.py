@@ -12,12 +12,12 @@ import numpy as np
 from greybox.discovery.law import Axis
 from greybox.discovery.left import Left
 from greybox.discovery.name import LOG10, Name
-from greybox.discovery.proposal import file_name, proposal_text
 from greybox.errors import GreyboxError
 from greybox.estimation.fit import Fit
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.plots import bars
+from greybox.residual.laws.effect_file import file_name, proposal_text
 from greybox.shown import Cell, Shown
 from greybox.validation.gap import GapRow
 
@@ -63,7 +63,6 @@ class Discovery(Shown):
     steps: tuple[Mapping[str, Any], ...] = ()
     sensors: tuple[Mapping[str, Any], ...] = ()
     base: tuple[str, ...] = ()
-    plain: IdentifiedModel | None = None
     lawful: IdentifiedModel | None = None
 
     @property
@@ -73,7 +72,7 @@ class Discovery(Shown):
             raise GreyboxError(
                 "no model: the data have blocking faults", fix="mend the log, then run again"
             )
-        return self.fit.model if self.plain is None else self.plain
+        return self.fit.model
 
     def _shown_text(self) -> str:
         """The verdict in words."""

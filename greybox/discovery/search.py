@@ -17,6 +17,7 @@ from greybox.discovery.colour import sensor_proposals
 from greybox.discovery.evidence import Fitted, Flights, Key, Say, Structure
 from greybox.discovery.left import axis_gains
 from greybox.discovery.propose import Proposal, Scores, proposals, scored, typical, unfelt
+from greybox.discovery.rules import RULES
 from greybox.statistics.evidence import FELT
 
 Move = tuple[Structure, list[Mapping[Key, float]]]
@@ -212,8 +213,8 @@ class Search:
             known = _without(at, self.flights, name)
             rows: list[tuple[tuple[str, ...], float]] = [((), 0.0)]
             asked: list[Move] = [(left, [known])]
-            for share, names, p in scores.instead(name)[: self.flights.effort.rivals]:
-                if share < 0.5:
+            for share, names, p in scores.instead(name)[: RULES.rivals]:
+                if share < RULES.stand_in:
                     break
                 rows.append((names, share))
                 asked.append((left | set(names), [{**known, **p.start}, known]))

@@ -16,12 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
+from greybox.data.lead import led
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer, since
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.colour import sensor_table
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.lead import led
 from greybox.discovery.left import Left, left_over
 from greybox.discovery.name import Name, impossible, judged
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions

@@ -18,11 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.discovery.rules import RULES
+from greybox.statistics.betting import betting
 from greybox.symbolic import FloatArray
 from greybox.validation.gap import Foresight
-
-BETS = tuple(k / 10 for k in range(1, 10))
-"""Shares of the capital that are bet, mixed evenly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +77,3 @@ def seconds(without: Foresight, named: Foresight) -> FloatArray:
     if not length:
         return np.zeros(0)
     return np.asarray(np.mean([r[:length] for r in rows], axis=0))
-
-
-def betting(changes: FloatArray) -> float:
-    """Log e-value that the mean of `changes`, bounded by one, is above zero at some time."""
-    if not changes.size:
-        return 0.0
-    capital = np.array([np.log1p(b * changes).sum() for b in BETS])
-    return float(np.logaddexp.reduce(capital) - np.log(len(BETS)))

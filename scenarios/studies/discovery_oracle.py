@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.data.lead import led
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.evidence import Fitted, Flights
-from greybox.discovery.lead import led
 from greybox.discovery.name import LOG10
 from greybox.discovery.search import Rival
 from greybox.estimation.fit import Fit

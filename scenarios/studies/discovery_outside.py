@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
+from greybox.data.lead import led
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
-from greybox.discovery.lead import led
 from greybox.discovery.result import Discovery
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError

@@ -181,6 +181,8 @@ BAD = {
     "adapt": (["--train", "a.csv", "--adapt", "0"], "--adapt"),
     "both": (["--train", "a.csv", "--test", "a.csv"], "twice"),
     "no such effects file": (["--train", "a.csv", "--effects-file", "none.py"], "none.py"),
+    "a model beside a vehicle": (["--train", "a.csv", "--from", "model.json"], "a vehicle file or --from"),
+    "a vehicle to go on with": (["--train", "a.csv", "--continue", "found"], "its own model"),
 }
 
 
@@ -196,3 +198,23 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert "\n" not in err
     assert needle in err
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needle"),
+    [
+        (["--train", "a.csv"], "a vehicle file or --from"),
+        (["--train", "a.csv", "--from", "none.json"], "none.json"),
+        (["--continue", "found"], "further flights"),
+        (["--continue", "nowhere", "--train", "a.csv"], "nowhere"),
+    ],
+)
+def test_nothing_to_start_from_is_one_line_and_exit_code_2(
+    files: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], needle: str, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(files)
+    before = sorted(p.name for p in files.iterdir())
+    assert main(["discover", *arguments]) == 2
+    err = capsys.readouterr().err.strip()
+    assert "\n" not in err and needle in err
+    assert sorted(p.name for p in files.iterdir()) == before

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from greybox.discovery.cause import Cause
 from greybox.discovery.certificate import Split
 from greybox.discovery.evidence import Fitted, Flights, Key, Structure, log_evidence
+from greybox.discovery.propose import Scores
 from greybox.discovery.rules import EFFORT
 from greybox.estimation.problem import Problem, Value
 from greybox.estimation.status import Code, Status
@@ -41,7 +42,18 @@ class World:
     def causes(self) -> Any:
         """As `Causes`, as far as it is looked at."""
         offered = {n: cause(n, c.shape[1]) for n, c in self.columns.items()}
-        return SimpleNamespace(offered=offered, effects=tuple(offered), base=frozenset())
+        return SimpleNamespace(
+            offered=offered, effects=tuple(offered), base=frozenset(), with_cause=lambda *_: self.causes,
+            prior_of=lambda n: None if n.split(".")[0] not in offered else (0.0, SIGMA),
+        )  # fmt: skip
+
+    @causes.setter
+    def causes(self, new: Any) -> None:
+        """None joins."""
+
+    def contest(self, asked: Sequence[tuple[Iterable[str], Sequence[Any]]], than: Fitted) -> list[Fitted]:
+        """Every structure at its optimum."""
+        return [self.fit(s) for s, _ in asked]
 
     def fit(self, structure: Iterable[str], starts: Sequence[Any] = ()) -> Fitted:
         """The optimum in closed form."""
@@ -128,3 +140,25 @@ def split(one: World, other: World) -> Split:
 
 def key(name: str) -> Key:
     return name, None
+
+
+def scores(world: World, present: Sequence[str] = ()) -> Scores:
+    """What `scored` finds, in closed form."""
+    at = world.fit(present)
+    absent = [n for n in world.columns if n not in present]
+    names = [*absent, *present]
+    x = np.column_stack([world.columns[n] for n in names])
+    out = world.shared @ np.linalg.pinv(world.shared)
+    own = np.column_stack([world.shared, *(world.columns[n] for n in sorted(present))])
+    left = x - out @ x
+    y = world.y - own @ at.theta
+    places, k = {}, 0
+    for n in names:
+        places[n] = tuple(range(k, k + world.columns[n].shape[1]))
+        k += world.columns[n].shape[1]
+    keys = [key(p) for n in names for p in parameters(n, world.columns[n].shape[1])]
+    return Scores(
+        at=at, keys=tuple(keys), score=-left.T @ y, information=left.T @ left, sigma=np.full(k, SIGMA),
+        null=np.zeros(k), value=np.array([at.known.get(q, 0.0) for q in keys]), lower=np.full(k, -np.inf),
+        upper=np.full(k, np.inf), places=places, absent=tuple(absent),
+    )  # fmt: skip

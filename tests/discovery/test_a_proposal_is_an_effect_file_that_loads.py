@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from greybox.discovery.law import Axis
-from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.model.effect import Flow
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
+from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.terms import Term, terms, wanted_features
 from tests.discovery.small_world import flown, vehicle
 

@@ -10,7 +10,7 @@ import pytest
 
 from greybox.discovery.certificate import Certificate, certificates
 from greybox.discovery.search import Rival
-from greybox.discovery.worth import betting
+from greybox.statistics.betting import betting
 from tests.discovery.linear_world import World, drawn, split
 
 ALPHA = 0.05

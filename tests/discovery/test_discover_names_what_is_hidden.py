@@ -101,7 +101,7 @@ def test_without_test_flights_halves_judge_each_other(short: None):
 
 @pytest.mark.slow
 def test_more_effort_keeps_every_verdict(short: None):
-    more = Effort(tried=2 * EFFORT.tried, rivals=2 * EFFORT.rivals, iterations=90, behind=60.0)
+    more = Effort(tried=2 * EFFORT.tried, iterations=90, behind=60.0)
     for hidden in ((), (DAMPING,)):
         train, test = small_world.flown(*hidden), small_world.flown(*hidden, seeds=(11,), name="test")
         few, many = (discover(vehicle(), train, test, effort=e) for e in (EFFORT, more))

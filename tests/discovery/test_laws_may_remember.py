@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from greybox.discovery.law import Axis
-from greybox.discovery.proposal import file_name, proposal_text, proposed
 from greybox.discovery.workflow import discover
 from greybox.model.effects_file import load_effects
 from greybox.model.model import build_model
 from greybox.plants.presets import x250
+from greybox.residual.laws.effect_file import file_name, proposal_text, proposed
 from greybox.residual.laws.lagged import DAMPING, FREQUENCIES, TIMES, follow, remembered_terms
 from greybox.residual.laws.terms import Memory, Term
 from scenarios.plants.outside import RelaxingDrag, SloshingMass

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from greybox.discovery.law import Axis
-from greybox.discovery.left import laws_of
 from greybox.discovery.rules import RULES
 from greybox.estimation.filtering import Filter
 from greybox.estimation.fit import fit
 from greybox.estimation.gain import Linearisation
 from greybox.frames import numeric
 from greybox.model.model import build_model
+from greybox.residual.laws.found import laws_of
 from greybox.residual.laws.responses import Library, Normal, responses, stretches
 from greybox.residual.laws.selection import forward, left_out, select, solve
 from greybox.residual.laws.terms import terms

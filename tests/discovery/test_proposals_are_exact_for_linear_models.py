@@ -2,36 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from greybox.discovery.propose import Scores, proposals
-from tests.discovery.linear_world import SIGMA, World, drawn, key, parameters
-
-
-def scores(world: World, present: Sequence[str] = ()) -> Scores:
-    """What `scored` finds, in closed form."""
-    at = world.fit(present)
-    absent = [n for n in world.columns if n not in present]
-    names = [*absent, *present]
-    x = np.column_stack([world.columns[n] for n in names])
-    out = world.shared @ np.linalg.pinv(world.shared)
-    own = np.column_stack([world.shared, *(world.columns[n] for n in sorted(present))])
-    left = x - out @ x
-    y = world.y - own @ at.theta
-    places, k = {}, 0
-    for n in names:
-        places[n] = tuple(range(k, k + world.columns[n].shape[1]))
-        k += world.columns[n].shape[1]
-    keys = [key(p) for n in names for p in parameters(n, world.columns[n].shape[1])]
-    return Scores(
-        at=at, keys=tuple(keys), score=-left.T @ y, information=left.T @ left, sigma=np.full(k, SIGMA),
-        null=np.zeros(k), value=np.array([at.known.get(q, 0.0) for q in keys]), lower=np.full(k, -np.inf),
-        upper=np.full(k, np.inf), places=places, absent=tuple(absent),
-    )  # fmt: skip
+from greybox.discovery.propose import proposals
+from tests.discovery.linear_world import World, drawn, scores
 
 
 @pytest.mark.parametrize("names", [("a",), ("c",), ("a", "c"), ("a", "b", "c")])
@@ -62,15 +39,6 @@ def test_exact_collinearity_is_found_alone_and_in_pairs():
     assert found[frozenset({"one", "rest"})] > 0.85
     assert found[frozenset({"one"})] < 0.6
     assert found[frozenset({"c"})] < 0.3
-
-
-def test_principal_angles_are_one_for_the_same_and_small_for_others():
-    world, _ = drawn(4, {})
-    world.columns = {**world.columns, "twin": 3 * world.columns["a"]}
-    seen = scores(world)
-    assert seen.angle(["a"], ["twin"]) == pytest.approx(1.0)
-    assert seen.angle(["a"], ["b"]) == pytest.approx(0.8, abs=0.15)
-    assert seen.angle(["a"], ["c"]) < 0.5
 
 
 def test_pairs_are_proposed_where_each_leaves_room_for_the_other():

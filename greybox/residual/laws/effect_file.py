@@ -1,4 +1,4 @@
-"""Proposal: a law of the leftover as an effect file that a user can read, edit and offer again with --effects-file.
+"""Effect file: a law of the leftover as a file that a user can read, edit and offer again with --effects-file.
 
 The file holds one effect per group of axes (force, torque): a wrench that is linear in its parameters, with the terms
 that stability selection kept. The null of every coefficient is zero; what the search found stands in the docstring and as
@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import re
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
-from greybox.discovery.law import Axis
 from greybox.model.effect import Effect
 from greybox.model.effects_file import load_effects
+from greybox.residual.laws.terms import Memory
 
 REACH = 10.0
 """Factor by which a refit may move time and damping of a memory, either way."""
@@ -24,6 +25,34 @@ SHORTEST = 0.02
 ROUND = 1e-3
 LAW_FILE = re.compile(r"proposal_\d+\.py")
 SLOT = {"force": "force", "torque": "moment"}
+
+
+class Law(Protocol):
+    """What is written: one axis as a sum of terms."""
+
+    @property
+    def channel(self) -> str:
+        """force.x, ..., torque.z."""
+
+    @property
+    def unit(self) -> str:
+        """Of the axis."""
+
+    @property
+    def share(self) -> float:
+        """Of the variance, on flights that were left out."""
+
+    @property
+    def terms(self) -> Mapping[str, float]:
+        """Text -> coefficient."""
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """The terms as lines of an effect."""
+
+    @property
+    def memories(self) -> tuple[tuple[Memory, float] | None, ...]:
+        """How a term follows with a memory, and the RMS of what follows; None without one."""
 
 
 def file_name(number: int) -> str:
@@ -39,7 +68,7 @@ def effect_name(channel: str, taken: Collection[str] = ()) -> str:
     return name
 
 
-def proposal_text(law: Axis, number: int, taken: Collection[str] = ()) -> str:
+def proposal_text(law: Law, number: int, taken: Collection[str] = ()) -> str:
     """The file for one axis, its effect named otherwise than those `taken`."""
     kind, axis = law.channel.split(".")
     place = "xyz".index(axis)
@@ -101,7 +130,7 @@ def proposal_text(law: Axis, number: int, taken: Collection[str] = ()) -> str:
     )
 
 
-def _past(law: Axis) -> tuple[dict[int, int], list[str], list[str]]:
+def _past(law: Law) -> tuple[dict[int, int], list[str], list[str]]:
     """Of the terms with a memory: number of the term -> place of what it follows in `flow.memory`, the declarations of times
     and dampings, and the two methods of an effect that remembers (none where no term does)."""
     places, remembered, changes, shapes = dict[int, int](), list[str](), list[str](), list[str]()
@@ -142,7 +171,7 @@ def _positive(
     )
 
 
-def proposed(laws: Sequence[Axis], taken: Collection[str] = ()) -> tuple[Effect, ...]:
+def proposed(laws: Sequence[Law], taken: Collection[str] = ()) -> tuple[Effect, ...]:
     """The effects of the proposals, read back from their files, so that they are what a user would get."""
     out: list[Effect] = []
     with tempfile.TemporaryDirectory() as folder:

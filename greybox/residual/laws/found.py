@@ -1,0 +1,90 @@
+"""Found: the law of every axis of force and torque, of terms that are chosen by stability selection.
+
+What a wrong coefficient of the rotors leaves is no law where the fit could bend that coefficient: its
+term is there from the start. How much a law explains is judged on stretches that were left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.residual.laws.responses import Library
+from greybox.residual.laws.selection import left_out, select, solve
+
+TERMS = 6
+"""Terms of an axis, at most."""
+OWN: dict[str, tuple[str, tuple[str, ...]]] = {
+    "force.z": ("rotors.thrust", ("thrust.", "mass")),
+    "torque.x": ("rotors.roll", ("thrust.", "inertia.xx")),
+    "torque.y": ("rotors.pitch", ("thrust.", "inertia.yy")),
+    "torque.z": ("rotors.yaw", ("torque.", "inertia.zz")),
+}
+"""Axis -> (the term that a wrong coefficient of the rotors, mass or inertia leaves, how the names of
+these begin)."""
+
+
+def _bent(axis: str, free: Iterable[str]) -> bool:
+    """Whether the fit could bend what multiplies the rotors on this axis."""
+    return any(n.startswith(OWN[axis][1]) for n in free)
+
+
+def laws_of(
+    offered: Library, samples: int, seed: int, free: Collection[str]
+) -> dict[str, dict[str, Any]]:
+    """Axis -> what its law is made of, for axes that have one; `free` are the names of the
+    parameters that the fit had."""
+    labels = [axis for axis, _ in offered.columns]
+    own = [
+        i
+        for i, (axis, t) in enumerate(offered.columns)
+        if axis in OWN and OWN[axis][0] == t.text and _bent(axis, free)
+    ]
+    # The last columns are a constant push on every axis.
+    always = [*own, *range(len(labels), offered.innovations.xy.shape[1])]
+    groups = [*labels, *["constant"] * (len(always) - len(own))]
+    chosen = select(
+        offered.innovations, always, groups, most=TERMS, samples=samples, seed=seed
+    )
+    kept = _merged(offered, chosen)
+    total = offered.innovations.xx.sum(0), offered.innovations.xy.sum(0)
+    c: dict[int, float] = {}
+    if kept:
+        c = dict(zip([*always, *kept], solve(*total, [*always, *kept]).tolist(), strict=True))
+    out: dict[str, dict[str, Any]] = {}
+    for axis, normal in offered.smoothed.items():
+        mine = [i for i in kept if labels[i] == axis]
+        if not mine:
+            continue
+        used = [offered.columns[i][1] for i in mine]
+        constant = len(labels)
+        base = [constant, *(i for i in own if labels[i] == axis)]
+        more = left_out(normal, [*base, *mine]) - left_out(normal, base)
+        whole = float(normal.yy.sum()) - left_out(normal, [constant])
+        out[axis] = {
+            "share": more / max(whole, 1e-300),
+            "terms": {t.text: c[i] for t, i in zip(used, mine, strict=True)},
+            "codes": tuple(t.code for t in used),
+            "memories": tuple(
+                (t.memory, float(np.sqrt(np.mean(t.values**2)))) if t.memory else None for t in used
+            ),
+            "depends_on": tuple(dict.fromkeys(n for t in used for n in t.uses)),
+        }
+    return out
+
+
+def _merged(offered: Library, kept: Sequence[int]) -> list[int]:
+    """Of memories of one kind that follow one signal on one axis the first: two of the grid stand
+    for one that lies between, and a refit, whose times are free, would find that twice."""
+    seen, out = set[tuple[str, str, str]](), list[int]()
+    for i in kept:
+        axis, term = offered.columns[i]
+        if term.memory is not None:
+            key = (axis, term.code, term.memory.kind)
+            if key in seen:
+                continue
+            seen.add(key)
+        out.append(i)
+    return out

@@ -1,0 +1,189 @@
+"""Calibration of E: how often the e-value of a name that is not there reaches 20, and how evidence grows with flights.
+
+    python -m scenarios.studies.e_values --run null --seeds 1 40 --out e_values
+    python -m scenarios.studies.e_values --run power --seeds 1 4 --out e_values
+    python -m scenarios.studies.e_values --out e_values --figure docs/images/e_values.svg
+
+The structure is fixed and nothing is searched, so that a row costs a few fits and there can be many. A
+seed draws vehicle, gusts and the errors of its file; one short flight teaches and one judges. `null`:
+nothing is hidden, and the name of a row is held against the model without it, which is then the truth:
+P(E >= 20) must be at most .05. It is stated for every name and for the largest of a seed, which is that
+of names that were chosen by their e-value and may exceed .05. `power`: `HIDDEN` is there at a part of
+its size, and as many flights teach as judge. Commands can be run in pieces: DIR/e_values.jsonl keeps a
+row per seed, name and number of flights, and what is there is not repeated. Seeds below 1000 are for
+development. Intervals are exact (Clopper and Pearson 1934).
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from greybox.data import Dataset
+from greybox.data.lead import led
+from greybox.discovery.cause import offer
+from greybox.discovery.certificate import certificates, splits
+from greybox.discovery.evidence import Fitted, Flights
+from greybox.discovery.name import LOG10
+from greybox.discovery.options import DiscoverOptions
+from greybox.discovery.search import Rival
+from greybox.estimation.record import sample_time
+from greybox.files import append_json_line, write_atomic
+from greybox.plants.quadrotor import Quadrotor
+from scenarios.foreign.campaign import share
+from scenarios.studies.discovery_cells import (
+    FRAMES,
+    MAKERS,
+    effect_of,
+    flights,
+    gusts,
+    nominal,
+    scaled,
+)
+from scenarios.studies.rows import read_rows
+
+NAMES = ("rotational_damping", "rotor_drag", "constant_force", "center_of_mass_offset", "thrust_curve", "gyro_scale")
+"""One of every stage and of one to three parameters."""
+HIDDEN, PART = "rotor_drag", 0.25
+"""What hides in a log of `power`, and the share of the size at which it matters in flight."""
+COUNTS = (1, 2, 4, 8)
+"""Flights that teach, and as many that judge."""
+CRAFT = ("x250", "nano")
+FALSE = 20.0
+Row = dict[str, Any]
+
+
+def craft(seed: int, hidden: str | None) -> Quadrotor:
+    """The plant of a seed: every other one in gusts, `HIDDEN` in it or nothing."""
+    kind = CRAFT[seed % len(CRAFT)]
+    effects = [] if hidden is None else [scaled(effect_of(hidden, FRAMES[kind]), PART)]
+    calm = MAKERS[kind](effects)
+    return MAKERS[kind](effects, process=gusts(calm)) if seed // 2 % 2 else calm
+
+
+def log_e(plant: Quadrotor, seed: int, train: Dataset, test: Dataset, names: Sequence[str]) -> dict[str, float]:
+    """Name -> log e-value against the model without it."""
+    said = nominal(plant, "off", seed)
+    causes = offer(said, train.channels, sample_time=sample_time(train))
+    common = Flights(causes=causes, data=led(train), options=DiscoverOptions().of_every_fit)
+    judges = splits(common, led(test))
+    null = common.fit(causes.base)
+    out = {}
+    for name in names:
+        at: Fitted = common.fit(causes.base | {name}, [null.known])
+        rival = Rival(instead=(), share=0.0, fitted=null)
+        out[name] = certificates(at, {name: [rival]}, judges, math.inf)[name].log_e
+    return out
+
+
+def rows_of(what: str, seed: int, seconds: float, done: set[tuple[Any, ...]]) -> Iterator[Row]:
+    """What is not `done` yet of one seed."""
+    hidden = HIDDEN if what == "power" else None
+    names, counts = (NAMES, (1,)) if hidden is None else ((HIDDEN,), COUNTS)
+    for count in counts:
+        left = [n for n in names if (what, seed, count, n, seconds) not in done]
+        if not left:
+            continue
+        plant = craft(seed, hidden)
+        first = 1000 * seed
+        train = flights(plant, range(first, first + count), seconds, "train")
+        test = flights(plant, range(first + 500, first + 500 + count), seconds, "test")
+        for name, value in log_e(plant, seed, train, test, left).items():
+            yield {
+                "what": what, "seed": seed, "flights": count, "name": name, "seconds": seconds,
+                "log10_e": value / LOG10 if np.isfinite(value) else None,
+            }  # fmt: skip
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """P(E >= 20) for every name, for all and for the largest of a seed; evidence by number of flights."""
+    null = [r for r in rows if r["what"] == "null"]
+    bar = math.log10(FALSE)
+    # An e-value that could not be worked out counts as nothing.
+    big = [r for r in null if (r["log10_e"] or -math.inf) >= bar]
+    out = [f"P(E >= {FALSE:g}) where nothing is missing"]
+    for name in dict.fromkeys(r["name"] for r in null):
+        mine = [r for r in null if r["name"] == name]
+        out.append(f"  {name:24s} {share(sum(r in big for r in mine), len(mine))}")
+    seeds = {r["seed"] for r in null}
+    out.append(f"  {'all names':24s} {share(len(big), len(null))}")
+    out.append(f"  {'the largest of a seed':24s} {share(len({r['seed'] for r in big}), len(seeds))}")
+    lost = sum(r["log10_e"] is None for r in rows)
+    out.append(f"  no e-value (a fit did not end): {lost} of {len(rows)}")
+    out.append(f"log10 E of {HIDDEN} at {PART:g} of its size")
+    for count, values in grown(rows).items():
+        low, middle, high = np.percentile(values, [25, 50, 75])
+        out.append(f"  {count} flights: {middle:.1f} ({low:.1f} to {high:.1f} in half of {len(values)} seeds)")
+    return "\n".join(out)
+
+
+def grown(rows: Sequence[Row]) -> dict[int, list[float]]:
+    """Number of flights -> log10 e-values of what hides."""
+    out: dict[int, list[float]] = {}
+    for r in sorted((r for r in rows if r["what"] == "power"), key=lambda r: r["flights"]):
+        if r["log10_e"] is not None:
+            out.setdefault(r["flights"], []).append(r["log10_e"])
+    return out
+
+
+def drawn(rows: Sequence[Row]) -> str:
+    """SVG: e-values where nothing is missing against their bound, and evidence against flights."""
+    figure = Figure(figsize=(8.4, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    null = np.sort([r["log10_e"] if r["log10_e"] is not None else -np.inf for r in rows if r["what"] == "null"])
+    if null.size:
+        left.step(null[::-1], np.arange(1, null.size + 1) / null.size, where="post", color="tab:blue", label="measured")
+    bound = np.linspace(0.0, 2.0, 50)
+    left.plot(bound, 10.0**-bound, color="0.2", linestyle=":", label="bound 1/E")
+    left.set(yscale="log", xlim=(-6, 2.5), xlabel="log10 E", ylabel="share of E at least as large")
+    left.set_title("nothing is missing", fontsize=9)
+    left.legend(fontsize=8)
+    told = grown(rows)
+    for count, values in told.items():
+        right.plot([count] * len(values), values, ".", color="0.6")
+    middle = [float(np.median(v)) for v in told.values()]
+    right.plot(list(told), middle, "o-", color="tab:blue", label="median")
+    if middle:
+        right.plot(list(told), [middle[-1] * n / max(told) for n in told], ":", color="0.2", label="in proportion")
+    right.axhline(math.log10(FALSE), color="tab:red", linewidth=0.8, label=f"E = {FALSE:g}")
+    right.set(xlabel="flights that teach, and that judge", ylabel="log10 E")
+    right.set_title(f"{HIDDEN} at {PART:g} of its size", fontsize=9)
+    right.legend(fontsize=8)
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run what is not there yet, print the summary, draw the figure where it is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", nargs="+", choices=("null", "power"), default=[], help="none: sum up")
+    parser.add_argument("--seeds", type=int, nargs=2, default=(1, 2), metavar=("FIRST", "LAST"))
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of a flight")
+    parser.add_argument("--out", type=Path, default=Path("e_values"), help="folder")
+    parser.add_argument("--figure", type=Path, default=None, metavar="F.svg")
+    options = parser.parse_args(argv)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "e_values.jsonl"
+    done = {(r["what"], r["seed"], r["flights"], r["name"], r["seconds"]) for r in read_rows(path)}
+    for seed in range(options.seeds[0], options.seeds[1] + 1):
+        for what in options.run:
+            for row in rows_of(what, seed, options.seconds, done):
+                append_json_line(path, row)
+                value = "none" if row["log10_e"] is None else f"{row['log10_e']:.2f}"
+                print(f"{what} {seed} {row['flights']} {row['name']}: log10 E {value}", flush=True)
+    rows = read_rows(path)
+    print(summary(rows))
+    if options.figure is not None:
+        write_atomic(options.figure, drawn(rows))
+
+
+if __name__ == "__main__":
+    main()

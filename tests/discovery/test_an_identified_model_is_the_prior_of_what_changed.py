@@ -1,0 +1,51 @@
+"""`--from` takes the numbers of a model with their errors as the prior, and offers its effects no more."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from greybox.discovery.cause import Causes, offer, since
+from greybox.discovery.evidence import choices
+from greybox.estimation.options import FitOptions
+from greybox.model.effects import effect_by_name
+from greybox.model.identified import IdentifiedModel
+from tests.discovery.small_world import flown, vehicle
+
+KNOWN = {"rotational_damping.d_p": (4e-3, 1e-4), "thrust.c2": (1.1e-5, 1e-7)}
+
+
+def identified() -> IdentifiedModel:
+    """A model with damping, as far as a search looks at it."""
+    model: Any = SimpleNamespace(
+        values={n: v for n, (v, _) in KNOWN.items()} | {"payload_mass.mu": 0.1},
+        covariance=np.diag([s**2 for _, s in KNOWN.values()]), covariance_names=tuple(KNOWN),
+        flight_spread={"payload_mass.mu": (0.1, 0.02)},
+        physics=SimpleNamespace(effects=(effect_by_name("rotational_damping"), effect_by_name("payload_mass"))),
+    )  # fmt: skip
+    return cast(IdentifiedModel, model)
+
+
+def causes() -> Causes:
+    return offer(vehicle(), flown().channels, sample_time=0.01, known=since(identified()))
+
+
+def test_its_effects_are_in_every_model_and_are_no_causes():
+    found = causes()
+    assert {"rotational_damping", "payload_mass"} <= {e.name for e in found.built(()).core.effects}
+    assert not {"rotational_damping", "payload_mass"} & set(found.offered)
+    assert "rotor_drag" in found.offered
+
+
+def test_its_numbers_with_their_errors_are_the_prior():
+    found = causes()
+    options = choices(found, FitOptions(), frozenset())
+    for name, prior in KNOWN.items():
+        assert options.priors[name] == prior
+        assert options.values[name] == prior[0]
+
+
+def test_what_differs_from_flight_to_flight_is_known_with_that_spread():
+    assert causes().known["payload_mass.mu"] == (0.1, 0.02)

@@ -1,0 +1,82 @@
+"""Raising effort changes no verdict but towards more found: in linear worlds of known answers, drawn at random."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import greybox.discovery.search
+from greybox.discovery.certificate import certificates
+from greybox.discovery.name import Name, judged
+from greybox.discovery.rules import EFFORT, RULES, Effort
+from greybox.discovery.search import Search
+from tests.discovery.linear_world import World, scores, split
+
+ALPHA = 0.05
+SAMPLES = 60
+LITTLE = replace(EFFORT, tried=1, behind=20.0)
+MUCH = replace(EFFORT, tried=12, behind=1e9)
+FOUND = ("certified", "one of these", "not certified")
+"""From the most that can be said of a name to the least."""
+
+
+def world(seed: int) -> tuple[World, World]:
+    """To teach and to judge: nine causes, of which some are alike and some act together, up to three are there."""
+    rng = np.random.default_rng(seed)
+    hidden = {n: rng.normal(0.0, 1.0, k) for n, k in (("a", 1), ("c", 2), ("f", 1)) if rng.random() < 0.5}
+    mixed = rng.uniform(-1.0, 1.0, 3)
+    worlds = []
+    for _ in range(2):
+        a, d, h = (rng.standard_normal((SAMPLES, 1)) for _ in range(3))
+        columns = {
+            "a": a, "b": 0.9 * a + 0.3 * rng.standard_normal((SAMPLES, 1)), "c": rng.standard_normal((SAMPLES, 2)),
+            "d": d, "e": a * mixed[0] - d * mixed[1] + 0.2 * rng.standard_normal((SAMPLES, 1)),
+            "f": d + 0.3 * h, "g": h, "h": a + h * mixed[2] + 0.3 * rng.standard_normal((SAMPLES, 1)),
+            "i": rng.standard_normal((SAMPLES, 3)),
+        }  # fmt: skip
+        shared = rng.standard_normal((SAMPLES, 6))
+        y = shared @ np.linspace(-2, 2, 6) + rng.standard_normal(SAMPLES)
+        for name, size in hidden.items():
+            y = y + columns[name] @ size
+        worlds.append(World(columns=columns, shared=shared, y=y))
+    return worlds[0], worlds[1]
+
+
+def found(seed: int, effort: Effort) -> dict[str, Name]:
+    """Every name that a search with its certificates says."""
+    one, other = world(seed)
+    one.effort = effort
+    search = Search(flights=one, most=8, say=lambda _text, _share: None)  # type: ignore[arg-type]
+    at = search.run()
+    judges = [split(one, other)]
+    judges[0].both.effort = effort
+    bar = float(np.log(len(one.columns) / ALPHA))
+    certified = certificates(at, search.contest(at), judges, bar)
+    return {n: judged(c, None, "", bar, ALPHA) for n, c in certified.items()}
+
+
+@pytest.fixture(autouse=True)
+def linear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scores in closed form, sensors that are white, nothing without a name."""
+    module: Any = greybox.discovery.search
+    monkeypatch.setattr(module, "scored", lambda flights, at: scores(flights, sorted(at.structure)))
+    monkeypatch.setattr(module, "sensor_proposals", lambda *_: [])
+    monkeypatch.setattr(module, "axis_gains", lambda *_: {})
+
+
+def test_no_verdict_is_lost_by_raising_effort():
+    for seed in range(60):
+        few, many = found(seed, LITTLE), found(seed, MUCH)
+        for name, before in few.items():
+            assert FOUND.index(many[name].status) <= FOUND.index(before.status), (seed, name)
+
+
+def test_the_rivals_that_are_asked_decide_as_all_would(monkeypatch: pytest.MonkeyPatch):
+    """What `Rules.rivals` was calibrated on, on other seeds."""
+    asked = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in range(1000, 1040)]
+    monkeypatch.setattr(greybox.discovery.search, "RULES", replace(RULES, rivals=400))
+    every = [{n: v.status for n, v in found(seed, EFFORT).items()} for seed in range(1000, 1040)]
+    assert asked == every
