@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         vehicle = files.pop(0)
     logs = files
     if not logs:
-        raise GreyboxError("no flights to fit", fix="greybox identify V.toml A.csv B.csv, or --vehicle V.toml --train A.csv B.csv")
+        raise GreyboxError("no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv")
     if vehicle is None:
         vehicle = guessed_vehicle(logs, out, go_on=arguments.guess, say=say)
     if arguments.rate is not None and not arguments.rate > 0:
