@@ -35,6 +35,9 @@ def add(subparsers: Any) -> None:
     )
     p.add_argument("--points", type=int, default=50, metavar="M", help="support points of the force and torque GP")
     p.add_argument("--methods", type=names, default=None, metavar="a,b", help="only these methods, by name")
+    p.add_argument("--learners", type=names, default=(), metavar="a,b",
+                   help="also every model (linear SISO, linear MIMO, nonlinear) with these learners, as in greybox learn; "
+                   "all: every learner that there is")  # fmt: skip
     horizon_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
@@ -55,8 +58,12 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.report.compare_report import compare_report, format_table
     from greybox.residual.compare import compare
     from greybox.residual.compare_bench import Bench
+    from greybox.residual.compare_methods import pairs
+    from greybox.residual.learners import GP, LEARNERS
 
     quiet = arguments.json == "-"
+    learners = (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
+    pairs(learners)  # what is wrong with them is said before logs are read
     given_horizons(arguments)  # what is wrong with them is said before logs are read
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
@@ -86,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     command = typed("compare")
     content: dict[str, Any] = {}
-    for partial in compare(bench, arguments.methods):
+    for partial in compare(bench, arguments.methods, learners=learners):
         # What is done stays done, whatever happens to the next method.
         content = {**partial, "command": command}
         write_json(out / "compare.json", content)

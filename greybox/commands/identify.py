@@ -23,7 +23,9 @@ def add(subparsers: Any) -> None:
         "A model that is NOT USABLE is not learned from or exported. Without a vehicle file the log is asked for one. Exit "
         "code 0: usable (or the flights are too calm to judge), 1: not usable, 2: bad input, 130: interrupted.",
     )
-    p.add_argument("inputs", nargs="+", metavar="VEHICLE.toml LOG", help="vehicle file and the flights to fit")
+    p.add_argument("inputs", nargs="*", metavar="VEHICLE.toml LOG", help="vehicle file and the flights to fit")
+    p.add_argument("--vehicle", metavar="V.toml", help="the vehicle file, said as to the other commands")
+    p.add_argument("--train", nargs="+", default=[], metavar="LOG", help="the flights to fit, said as to the other commands")
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only judge")
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--skip", type=names, default=(), metavar="a,b", help="leave stages out: discover,learn,export,...")
@@ -49,11 +51,15 @@ def run(arguments: argparse.Namespace) -> int:
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
-    out, first = Path(arguments.out), arguments.inputs[0]
-    if Path(first).suffix == ".toml":
-        vehicle, logs = first, arguments.inputs[1:]
-    else:
-        logs = arguments.inputs
+    out = Path(arguments.out)
+    files = [*arguments.inputs, *arguments.train]
+    vehicle = arguments.vehicle
+    if vehicle is None and files and Path(files[0]).suffix == ".toml":
+        vehicle = files.pop(0)
+    logs = files
+    if not logs:
+        raise GreyboxError("no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv")
+    if vehicle is None:
         vehicle = guessed_vehicle(logs, out, go_on=arguments.guess, say=say)
     if arguments.rate is not None and not arguments.rate > 0:
         raise GreyboxError("--rate takes a rate above zero", got=f"{arguments.rate:g} Hz", fix="--rate 100")

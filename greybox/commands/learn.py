@@ -28,8 +28,9 @@ def add(subparsers: Any) -> None:
     p.add_argument("--test", nargs="+", default=[], metavar="LOG", help="flights that only the validation sees")
     flight_log_options(p)
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
-    p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with a "
-                   "Bayesian last layer), sparse (a law of few terms), or own.py:Name, Python that is run")  # fmt: skip
+    p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with "
+                   "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), or own.py:Name, "
+                   "Python that is run")  # fmt: skip
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
     p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
@@ -83,10 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     if is_linear(arguments.model):
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
-        if arguments.learner != "gp":
-            raise GreyboxError(
-                "--learner is for models of motion", got=f"the linear model {arguments.model}", fix="leave it out: gp"
-            )
+        if arguments.guard and arguments.learner != "gp":
+            raise GreyboxError("--guard is for the Gaussian process", got=f"--learner {arguments.learner}")
         if arguments.keep_impossible:
             raise GreyboxError(
                 "--keep-impossible is for models of a vehicle", got=f"the linear model {arguments.model}"

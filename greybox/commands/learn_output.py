@@ -35,6 +35,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
     from greybox.residual.decoupled import combined
+    from greybox.residual.learners import GP
     from greybox.residual.output_judge import judge
     from greybox.residual.output_residual import fit_output_residual, read_linear
 
@@ -66,7 +67,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     base, channels = combined(models, terms)
     hybrid = fit_output_residual(
         base, train, channels=channels, features=names, kernel=arguments.kernel, points=points, adapt=arguments.adapt,
-        seed=arguments.seed, guard=arguments.guard, progress=progress,
+        learner=arguments.learner, seed=arguments.seed, guard=arguments.guard, progress=progress,
     )  # fmt: skip
     out = Path(arguments.out)
     withdraw(out, *RESULTS)
@@ -86,7 +87,8 @@ def run_output(arguments: argparse.Namespace) -> int:
             {"name": n, "unit": s.unit, "learned": active}
             for n, s, active in zip(hybrid.outputs, hybrid.posterior.outputs, hybrid.posterior.active, strict=True)
         ],
-        "null": not any(hybrid.posterior.active), "kernel": arguments.kernel, "points": hybrid.posterior.points,
+        "null": not any(hybrid.posterior.active), "learner": hybrid.report["settings"]["learner"],
+        "kernel": arguments.kernel if arguments.learner == GP else None, "points": hybrid.posterior.points,
         "adapt": arguments.adapt, "parameters": hybrid.parameters, "seconds": hybrid.train_seconds, "seed": arguments.seed,
         "samples": hybrid.report["samples"], "training": hybrid.report["training"],
         "trained_on": list(train.names), "judged_on": list(judged.names), "data_hash": train.hash, "validation": None,
@@ -142,7 +144,7 @@ def _summary(content: dict[str, Any]) -> str:
     lines = [
         f"learned the one-step errors of {', '.join(learned)} from {', '.join(content['features'])}"
         if learned
-        else "nothing was learned: held-out samples do not prefer the GP to a constant"
+        else "nothing was learned: held-out flights do not prefer a learned part to the model alone"
     ]
     checked = content["validation"]
     if checked:

@@ -26,7 +26,9 @@ HELD: dict[str, bool | Literal["process"]] = {"none": True, "sensor": "process",
 
 
 def names(text: str) -> tuple[str, ...]:
-    """A comma-separated list of names."""
+    """A comma-separated list of names; "none" is an empty one."""
+    if text.strip() == "none":
+        return ()
     return tuple(part.strip() for part in text.split(",") if part.strip())
 
 

@@ -30,6 +30,8 @@ LOOK: Mapping[str, tuple[str, str, Colour, Stroke]] = {
 """Colour and stroke of the rows that the figures of error growth show."""
 BANDS = ("nonlinear PEM + GP", "nonlinear PEM + output GP", "linear PEM + GP", "GP alone", "LSTM")
 """Rows whose intervals are drawn."""
+FOLLOWS, WIDEST = ("sigma_error", "sigma_manoeuvre"), 4.0
+"""What is shown of the stated deviation, and where histograms of errors end (schemas/compare.json)."""
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("mse", "MSE, standardised", ".4g"),
     ("r2", "R\N{SUPERSCRIPT TWO}", ".4f"),
@@ -108,14 +110,15 @@ def _one_step(report: Report, content: Mapping[str, Any], done: Sequence[Mapping
     for m in done:
         cells: list[Cell] = [None if m["mean"][k] is None else format(m["mean"][k], form) for k, _, form in COLUMNS]
         cost: list[Cell] = [
-            number(m["train_seconds"], 3), number(m["microseconds_per_sample"], 3), m["parameters"],
+            number(m["train_seconds"], 3), number(m["microseconds_per_sample"], 3), _rate(m), m["parameters"],
         ]  # fmt: skip
         body.append([m["method"], *cells, *cost])
     report.table(
-        ["method", *(t for _, t, _ in COLUMNS), "training [s]", "\N{MICRO SIGN}s per sample", "parameters"], body,
-        numeric=range(1, 12),
+        ["method", *(t for _, t, _ in COLUMNS), "training [s]", "\N{MICRO SIGN}s per sample", "samples per ms",
+         "parameters"], body, numeric=range(1, 13),
         caption=f"Means over {', '.join(content['channels'])}, in units of their standard deviation on the training "
-        "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training includes every candidate.",
+        "flights. Spectral error: share of the signal's power at 0.1-20 Hz that is left. Training includes every candidate. "
+        "Time in Python over a whole flight, many samples at once; exported C has its own.",
     )  # fmt: skip
     names = content["channels"]
     for key, title in (
@@ -206,6 +209,7 @@ def _uncertainty(report: Report, content: Mapping[str, Any], done: Sequence[Mapp
         caption="Probability integral transform one step ahead, mean over channels: flat where the stated distribution is "
         "right, a hump where it is too wide, a bowl where it is too narrow.",
     )
+    _errors(report, done)
     measured = content["measured"]
     t = np.asarray(measured["t"], dtype=np.float64)
     bands = []
@@ -220,6 +224,36 @@ def _uncertainty(report: Report, content: Mapping[str, Any], done: Sequence[Mapp
                 bands, caption=f"One step ahead, first seconds of {measured['flight']}.",
                 key=[Key(text="measured", colour="ink"), Key(text="predicted, with 2 sigma", colour="c1")],
             )  # fmt: skip
+
+
+def _errors(report: Report, done: Sequence[Mapping[str, Any]]) -> None:
+    """Histograms of the errors, and whether the stated deviation follows them; of results that have them."""
+    done = [m for m in done if all("histogram" in c for c in m["channels"].values())]
+    if not done:
+        return
+    bars = [(m["method"], np.mean([c["histogram"] for c in m["channels"].values()], axis=0)) for m in done]
+    report.figures(
+        [(error_histogram(b, title=n), f"histogram of the errors of {n}") for n, b in bars],
+        caption="Errors one step ahead over their root mean square, mean over channels; dashed: normal distribution.",
+    )
+    names = list(done[0]["channels"])
+    rows: list[list[Cell]] = [
+        [m["method"], *(None if (v := m["channels"][n][k]) is None else f"{v:+.2f}" for k in FOLLOWS for n in names)]
+        for m in done
+    ]
+    heads = [*(f"{n}, error" for n in names), *(f"{n}, manoeuvre" for n in names)]
+    with report.details("does the stated deviation follow the error, and the manoeuvre?"):
+        report.table(
+            ["method", *heads], rows, numeric=range(1, 2 * len(names) + 1),
+            caption="Rank correlation with the size of the error and with the distance of the commands from their mean. "
+            "Empty: one deviation for all samples. It is weak where most of the deviation is sensor noise, which is the "
+            "same everywhere.",
+        )  # fmt: skip
+
+
+def _rate(m: Mapping[str, Any]) -> Cell:
+    """Predicted samples per millisecond."""
+    return number(1e3 / m["microseconds_per_sample"], 3) if m["microseconds_per_sample"] else None
 
 
 def _search(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
@@ -274,6 +308,20 @@ def pit_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
     axes.axhline(1.0, color=MUTED, linewidth=1.0, linestyle="--")
     axes.set_xlim(0.0, 1.0)
     _label(axes, x="probability below the measurement", y="density", title=title)
+    return figure
+
+
+def error_histogram(shares: npt.ArrayLike, *, title: str) -> Figure:
+    """Shares (BINS,) as a density over errors in units of their root mean square, with the normal one."""
+    figure, axes = _panel(1.7)
+    values = np.asarray(shares, dtype=np.float64)
+    width = 2 * WIDEST / len(values)
+    middle = -WIDEST + (np.arange(len(values)) + 0.5) * width
+    axes.bar(middle, values / width, width=0.9 * width, color=SERIES[0])
+    x = np.linspace(-WIDEST, WIDEST, 100)
+    axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=MUTED, linewidth=1.0, linestyle="--")
+    axes.set_xlim(-WIDEST, WIDEST)
+    _label(axes, x="error / its root mean square", y="density", title=title)
     return figure
 
 

@@ -23,6 +23,7 @@ LEARNED = {
     "gp": "A Gaussian process",
     "random-features": "A sum of random features",
     "neural": "The Bayesian last layer of a small network",
+    "ensemble": "The mean of an ensemble of small networks",
     "sparse": "A law of few terms",
 }
 FAR = "Far from the training flights it fades to nothing and the physics remains."
@@ -52,6 +53,12 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     return report.html()
 
 
+def learned_by(content: Mapping[str, Any]) -> str:
+    """The learner of a result, as the beginning of a sentence."""
+    learner = content.get("learner", "gp")
+    return LEARNED.get(learner, f"The learner {learner}")
+
+
 def _subtitle(content: Mapping[str, Any]) -> str:
     count = len(content.get("trained_on", []))
     return f"learned from {count} flight{'s' * (count != 1)}, {content['points']} {_counted(content)}"
@@ -77,7 +84,7 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
         silent = _channels(content, False)
         rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
         report.verdict(
-            f"{LEARNED.get(learner, f'The learner {learner}')} of {', '.join(content['features'])} adds to "
+            f"{learned_by(content)} of {', '.join(content['features'])} adds to "
             f"{', '.join(_channels(content, True))}. It "
             f"saves {number(100 * fit['held_out_gain'], 3)} % of the squared multi-step errors of flights that were left "
             f"out of its fit.{rest}"

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.files import to_plain
 from greybox.report.compare_report import pit_histogram
 from greybox.report.html import Cell, Report
+from greybox.report.learn_report import learned_by
 from greybox.report.words import number
 
 
@@ -26,11 +27,12 @@ def output_report(content: Mapping[str, Any]) -> str:
     learned = [o["name"] for o in content["outputs"] if o["learned"]]
     if learned:
         report.verdict(
-            f"A Gaussian process of {', '.join(content['features'])} foretells the one-step errors of {', '.join(learned)}."
+            f"{learned_by(content)} of {', '.join(content['features'])} foretells the one-step errors of "
+            f"{', '.join(learned)}."
         )
     else:
         report.paragraph(
-            "Nothing was learned: on held-out samples no output prefers the Gaussian process to a constant."
+            "Nothing was learned: on held-out flights no output prefers a learned part to the model alone."
         )
     report.paragraph(
         "It looks at what is known before the predicted sample: the model's own prediction, and log columns at least one "
@@ -38,7 +40,9 @@ def output_report(content: Mapping[str, Any]) -> str:
     )
     report.facts(
         [
-            ("Kernel", f"{content['kernel']}, {content['points']} support points"),
+            ("Kernel", f"{content['kernel']}, {content['points']} support points")
+            if content["kernel"]
+            else ("Features", str(content["points"])),
             ("Samples", str(content["samples"])),
             ("Time", f"{number(content['seconds'], 3)} s"),
             ("Parameters", str(content["parameters"])),

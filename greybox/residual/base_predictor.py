@@ -37,7 +37,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import LinearModel
 from greybox.residual import features as model_features
 from greybox.residual.decoupled import Terms, free_entries
-from greybox.residual.posterior import GPPosterior
+from greybox.residual.weight_space import Candidate
 from greybox.symbolic import FloatArray, Layout, Signal, evaluate
 from greybox.validation.adapt import adapt_to_flight
 
@@ -294,7 +294,7 @@ class BasePredictor:
         past, future = self.dynamics.window
         return past, 1, future
 
-    def _told(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
+    def _told(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
         """(x, window, given, last errors, p, shift) -> z; with `posterior` or no names what a step of `rolled` needs."""
         cache = self.__dict__.setdefault("_functions", {})
         key = (names, id(posterior), bool(names) and posterior is None)
@@ -302,7 +302,7 @@ class BasePredictor:
             cache[key] = (self._build(names, posterior), posterior)
         return cache[key][0]
 
-    def _build(self, names: tuple[str, ...], posterior: GPPosterior | None) -> Any:
+    def _build(self, names: tuple[str, ...], posterior: Candidate | None) -> Any:
         d, n_o = self.dynamics, len(self.outputs)
         x, p = ca.SX.sym("x", len(d.states)), ca.SX.sym("p", self._n_p)
         numbers = ca.DM([q.nominal for q in d.parameters]) if isinstance(self.model, LinearModel) else p
@@ -370,7 +370,7 @@ class BasePredictor:
     # ----------------------------------------------------------------------------------------------- many steps
 
     def rolled(
-        self, segment: Segment, origins: npt.ArrayLike, horizon: int, posterior: GPPosterior | None
+        self, segment: Segment, origins: npt.ArrayLike, horizon: int, posterior: Candidate | None
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m, horizon, n_o) from origins k, with the GP `posterior` as mean of the innovations or None.
 
@@ -393,7 +393,7 @@ class BasePredictor:
 
     def _roll(
         self, run: Run, given: FloatArray, held: npt.NDArray[np.bool_], errors: FloatArray, k: npt.NDArray[np.int64],
-        horizon: int, posterior: GPPosterior | None,
+        horizon: int, posterior: Candidate | None,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         told = self._told(() if posterior is None else tuple(posterior.inputs.names), posterior)
         gain, cov = self.gain

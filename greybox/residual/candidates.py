@@ -27,6 +27,8 @@ BROAD = 3.0
 """Length-scale of the broad kernel in standard deviations of a feature; its linear part reaches twice as far."""
 SUBSET = 300
 """Rows of the exact marginal likelihood. It only shapes kernels: weights and judgement come from multi-step errors."""
+SLOPES = 200
+"""Rows at which the slopes of a learner's features are looked at."""
 Say = Callable[[str, float], None]
 
 
@@ -110,19 +112,24 @@ def feature_candidates(
             expected="features(x, y, points, seed) -> {name: column of a CasADi column}", fix="see docs/own_learner.md",
         ) from None  # fmt: skip
     out: dict[str, FeaturePosterior] = {}
+    members = len(columns) if getattr(learner, "ensemble", False) else 1
+    if members > 1:
+        columns = {f"ensemble of {members}": _side_by_side(learner, list(columns.values()))}
     for label, phi in columns.items():
         if phi.size2_out(0) != 1 or not phi.numel_out(0):
             raise ModelError(
                 f"learner {learner.name}: {label} is no column", expected="(M, 1)", got=str(phi.size_out(0))
             )
-        if not np.isfinite(evaluate(phi, x)).all():
+        if not _finite(phi, x):
             raise ModelError(
                 f"learner {learner.name}: {label} is not finite on the training flights",
-                expected="finite features at standardised inputs", fix="bound what it divides by or takes the root of",
+                expected="finite features and slopes at standardised inputs",
+                fix="bound what it divides by or takes the root of",
             )  # fmt: skip
         out[label] = silent_features(
             phi, method=learner.name, inputs=seen.inputs, outputs=seen.outputs, input_mean=middle, input_scale=spread,
-            output_scale=size, domain=Domain(lower=of.z.min(axis=0), upper=of.z.max(axis=0), samples=len(of.z)),
+            output_scale=size, members=members,
+            domain=Domain(lower=of.z.min(axis=0), upper=of.z.max(axis=0), samples=len(of.z)),
         )  # fmt: skip
     return out
 
@@ -131,6 +138,26 @@ def _column(made: Callable[[Any], Any], inputs: int) -> Any:
     """The features as a CasADi function of standardised inputs."""
     s = ca.SX.sym("x", inputs)
     return ca.Function("phi", [s], [ca.densify(ca.SX(made(s)))])
+
+
+def _finite(phi: Any, x: FloatArray) -> bool:
+    """Whether features are finite at all rows x (N, n_in), and their slopes at some of them and in the middle."""
+    s = ca.SX.sym("x", x.shape[1])
+    slope = ca.Function("slope", [s], [ca.densify(ca.vec(ca.jacobian(phi(s), s)))])
+    some = np.vstack([np.zeros(x.shape[1]), x[:: max(1, len(x) // SLOPES)]])
+    return bool(np.isfinite(evaluate(phi, x)).all() and np.isfinite(evaluate(slope, some)).all())
+
+
+def _side_by_side(learner: Learner, members: list[Any]) -> Any:
+    """The features of all members of an ensemble as one column. Raises `ModelError` where they are not alike."""
+    sizes = sorted({phi.numel_out(0) for phi in members})
+    if len(sizes) > 1:
+        raise ModelError(
+            f"learner {learner.name}: members of an ensemble of different size", expected="as many features each",
+            got=" and ".join(map(str, sizes)),
+        )  # fmt: skip
+    s = ca.SX.sym("x", members[0].numel_in(0))
+    return ca.Function("phi", [s], [ca.vertcat(*(phi(s) for phi in members))])
 
 
 def _spread(values: FloatArray) -> FloatArray:

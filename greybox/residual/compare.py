@@ -12,6 +12,8 @@
 | GP alone | NARX | `budget` candidates |
 | LSTM | as in Ghoul et al. 2026 | `budget` candidates |
 
+On request also linear SISO, linear MIMO and nonlinear PEM, each with other learners (`compare_methods.pairs`).
+
 Candidates are judged on training flights that were held back for it; nothing looks at the test flights. The commands that
 linear models, black boxes and residuals use for y(t) end one sample before t. Black boxes see rates, specific force, body
 velocity and direction of gravity (`black_box_view`), predict all of them, and get their pose by the kinematics of
@@ -32,29 +34,35 @@ from greybox.data.channel import channel
 from greybox.errors import UnknownNameError
 from greybox.model.identified import library_versions
 from greybox.residual.compare_bench import Bench, Outcome
-from greybox.residual.compare_methods import METHODS
+from greybox.residual.compare_methods import METHODS, pairs
 from greybox.residual.compare_scores import one_step_scores
+from greybox.residual.learners import GP, LEARNERS
 
 SCHEMA = "greybox.compare/1"
 SHOWN = 4.0
 """Seconds of the first test flight that the figure of predictions shows."""
 
 
-def compare(bench: Bench, methods: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+def compare(
+    bench: Bench, methods: Sequence[str] | None = None, *, learners: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
     """Run the methods one after the other; yields the content of compare.json after each.
 
-    A method that fails has its error in its row. Raises `UnknownNameError` for a method that there is not.
+    `methods` (default: all of the table; pairs have names too), then every model with each of `learners` (`pairs`). A
+    method that fails has its error in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
     """
-    chosen = tuple(METHODS) if methods is None else tuple(methods)
+    more = pairs(learners)
+    there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
+    chosen = tuple(dict.fromkeys((*(METHODS if methods is None else methods), *more)))
     for name in chosen:
-        if name not in METHODS:
-            raise UnknownNameError("method", name, METHODS)
+        if name not in there:
+            raise UnknownNameError("method", name, there)
     rows: list[dict[str, Any]] = []
     for name in chosen:
         bench.say(f"{name} ...")
         began = time.perf_counter()
         try:
-            rows.append(_row(bench, name, METHODS[name](bench)))
+            rows.append(_row(bench, name, there[name](bench)))
         except Exception as error:  # whatever a method does, the others keep their rows
             rows.append({"method": name, "status": "failed", "error": f"{type(error).__name__}: {error}"})
         bench.say(f"{name}: {rows[-1]['status']} after {time.perf_counter() - began:.0f} s")

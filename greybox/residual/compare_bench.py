@@ -194,6 +194,14 @@ class Bench:
         return BasePredictor(model=model, channels=channels, adapt=self.adapt, train_seconds=seconds), fits
 
     @cached_property
+    def mimo(self) -> tuple[BasePredictor, int]:
+        """The linear model from rotor commands to all outputs, and its order."""
+        began = time.perf_counter()
+        found = self.linear({c: ((1.0, c),) for c in self.commands}, self.outputs, 8)
+        seconds = time.perf_counter() - began
+        return BasePredictor(model=found.model, adapt=self.adapt, train_seconds=seconds), found.order
+
+    @cached_property
     def physics(self) -> tuple[IdentifiedModel, float]:
         """The fitted nonlinear model and the seconds that it took."""
         began = time.perf_counter()

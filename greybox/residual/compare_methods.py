@@ -10,6 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,15 @@ from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.kinematics import BODY_VELOCITY, GRAVITY_DIRECTION, black_box_view
 from greybox.residual.learn import learn
+from greybox.residual.learners import GP, learner_of
 from greybox.residual.output_residual import fit_output_residual, output_features, with_measured_noise
 from greybox.residual.weight_space import learned_numbers
 from greybox.symbolic import FloatArray
 
 KERNELS = ("se", "linear+se")
 POINTS = (100, 200)
+FEATURES = (25, 50)
+"""Sizes that the search of other learners draws from."""
 NARX_LAGS = (2, 4)
 """Lags that the search of the GP alone draws from (both of outputs and inputs)."""
 
@@ -62,11 +66,8 @@ def _siso(bench: Bench) -> Outcome:
 
 
 def _mimo(bench: Bench) -> Outcome:
-    began = time.perf_counter()
-    found = bench.linear({c: ((1.0, c),) for c in bench.commands}, bench.outputs, 8)
-    base = BasePredictor(model=found.model, adapt=bench.adapt)
-    seconds = time.perf_counter() - began
-    return bench.outcome("linear MIMO PEM", base, views=False, seconds=seconds, settings={"order": found.order})
+    base, order = bench.mimo
+    return bench.outcome("linear MIMO PEM", base, views=False, seconds=base.train_seconds, settings={"order": order})
 
 
 def _nonlinear(bench: Bench) -> Outcome:
@@ -74,11 +75,12 @@ def _nonlinear(bench: Bench) -> Outcome:
     return bench.physical(model, seconds, settings={"effects": list(model.effects)})
 
 
-def _hybrid(bench: Bench) -> Outcome:
+def _hybrid(bench: Bench, learner: str = GP) -> Outcome:
     model, seconds = bench.physics
     learned = learn(
-        model, bench.train, points=bench.points, seed=bench.seed, progress=lambda text, _s: bench.say(f"learn: {text}")
-    )
+        model, bench.train, points=bench.points, learner=learner, seed=bench.seed,
+        progress=lambda text, _s: bench.say(f"learn: {text}"),
+    )  # fmt: skip
     found = bench.physical(
         learned.model, seconds + learned.seconds,
         search=[{"candidate": n, "held_out_gain": g} for n, g in learned.candidates.items()],
@@ -88,33 +90,38 @@ def _hybrid(bench: Bench) -> Outcome:
     return replace(found, parameters=found.parameters + added)
 
 
-def _output_hybrid(bench: Bench, base: BasePredictor, choices: Mapping[str, Sequence[str]], label: str) -> Outcome:
-    """`base` + GP on its one-step errors; features, kernel and size by the error on the held-back flights."""
+def _output_hybrid(
+    bench: Bench, base: BasePredictor, choices: Mapping[str, Sequence[str]], label: str, learner: str = GP
+) -> Outcome:
+    """`base` + what is learned of its one-step errors; features, kernel and size by the error on the held-back flights."""
     began = time.perf_counter()
-    points_tried = candidates(bench, {"features": tuple(choices), "kernel": KERNELS, "points": POINTS}, "features")
+    space: dict[str, Sequence[Any]] = {"points": FEATURES}
+    if learner == GP:
+        space = {"kernel": KERNELS, "points": POINTS}
+    points_tried = candidates(bench, {"features": tuple(choices), **space}, "features")
     own, judge = bench.split
     tried: list[dict[str, Any]] = []
-    for which, kernel, points in (c.values() for c in points_tried):
+    for point in points_tried:
+        rest = {k: v for k, v in point.items() if k != "features"}
         hybrid = fit_output_residual(
-            base, own, features=choices[which], kernel=kernel, points=points, seed=bench.seed, hold_out=0.0
+            base, own, features=choices[point["features"]], learner=learner, seed=bench.seed, hold_out=0.0, **rest
         )
         error = validation_error(hybrid, judge, bench.outputs, bench.spread)
-        tried.append({"features": which, "kernel": kernel, "points": points, "validation": error})
+        tried.append({**point, "validation": error})
         bench.say(f"{label}: candidate {len(tried)} of {len(points_tried)}: {tried[-1]}")
     best = min(tried, key=lambda t: t["validation"])
     final = fit_output_residual(
-        base, bench.train_segments, features=choices[best["features"]], kernel=best["kernel"], points=best["points"],
-        seed=bench.seed,
+        base, bench.train_segments, features=choices[best["features"]], learner=learner, seed=bench.seed,
+        **{k: v for k, v in best.items() if k not in ("features", "validation")},
     )  # fmt: skip
     seconds = base.train_seconds + time.perf_counter() - began
     settings = {**best, "null": [n for n, a in zip(final.outputs, final.posterior.active) if not a]}
     return bench.outcome(label, final, views=False, seconds=seconds, search=tried, settings=settings)
 
 
-def _linear_hybrid(bench: Bench) -> Outcome:
-    base, _ = bench.siso
+def _linear_hybrid(bench: Bench, base: BasePredictor, label: str, learner: str = GP) -> Outcome:
     plain = output_features(base, bench.train_segments[0].names)
-    return _output_hybrid(bench, base, _choices(bench, plain), "linear PEM + GP")
+    return _output_hybrid(bench, base, _choices(bench, plain), label, learner)
 
 
 def _choices(bench: Bench, plain: Sequence[str]) -> dict[str, Sequence[str]]:
@@ -215,8 +222,33 @@ METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
     "linear MIMO PEM": _mimo,
     "nonlinear PEM": _nonlinear,
     "nonlinear PEM + GP": _hybrid,
-    "linear PEM + GP": _linear_hybrid,
+    "linear PEM + GP": lambda bench: _linear_hybrid(bench, bench.siso[0], "linear PEM + GP"),
     "nonlinear PEM + output GP": _nonlinear_output,
     "GP alone": _gp,
     "LSTM": _lstm,
 }
+
+
+def _siso_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
+    return _linear_hybrid(bench, bench.siso[0], label, learner)
+
+
+def _mimo_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
+    return _linear_hybrid(bench, bench.mimo[0], label, learner)
+
+
+def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
+    """Every model with each of `learners` (names, or files of the user's own), by the name of the method.
+
+    What `METHODS` has already keeps its name there. Raises as `learner_of`.
+    """
+    out: dict[str, Callable[[Bench], Outcome]] = {}
+    for learner in dict.fromkeys(learners):
+        learner_of(learner)
+        word = "GP" if learner == GP else learner
+        siso, mimo, physics = (f"{b} PEM + {word}" for b in ("linear SISO", "linear MIMO", "nonlinear"))
+        out[mimo] = partial(_mimo_pair, label=mimo, learner=learner)
+        if learner != GP:
+            out[siso] = partial(_siso_pair, label=siso, learner=learner)
+            out[physics] = partial(_hybrid, learner=learner)
+    return out

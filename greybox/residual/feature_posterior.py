@@ -22,6 +22,7 @@ from greybox.errors import FileFormatError, GreyboxError, ModelError, UnknownNam
 from greybox.model.expressions import read_function, write_function
 from greybox.residual.as_function import AsFunction
 from greybox.residual.posterior import QUANTITIES, Domain
+from greybox.shown import Cell, Shown
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, evaluate
 
 SCHEMA = "greybox.learned_features/1"
@@ -29,8 +30,8 @@ _VECTORS = ("input_mean", "input_scale", "output_scale", "noise")
 _ARRAYS = ("weights", "root")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FeaturePosterior(AsFunction):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FeaturePosterior(AsFunction, Shown):
     """Shapes: n_in inputs, n_out outputs, M features. `phi`: SX function x (n_in) -> (M,); `weights` (M, n_out); `root`
     (n_out, M, M), F with F'F the covariance of the weights; `prior` (n_out,) their variance before the data, in whose unit
     `distance` is told; `noise` (n_out,) variance of a new sample. Raises `ModelError`."""
@@ -49,6 +50,8 @@ class FeaturePosterior(AsFunction):
     prior: FloatArray
     noise: FloatArray
     domain: Domain
+    members: int = 1
+    """How many equal blocks of features were fitted each on its own (an ensemble); a file does not need it."""
 
     def __post_init__(self) -> None:
         n_in, n_out, m = len(self.inputs), len(self.outputs), self.phi.numel_out(0)
@@ -64,6 +67,18 @@ class FeaturePosterior(AsFunction):
             object.__setattr__(self, name, value)
         if self.phi.numel_in(0) != n_in or not (self.input_scale > 0).all() or not (self.output_scale > 0).all():
             raise ModelError("the features do not fit the inputs", expected=f"{n_in} inputs, positive scales")
+
+    def _shown_text(self) -> str:
+        """What is learned of what."""
+        learned = [n for n, on in zip(self.outputs.names, self.active, strict=True) if on]
+        return f"{self.method}, {self.points} features of {', '.join(self.inputs.names)}: {', '.join(learned) or 'nothing'}"
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per output."""
+        return [
+            {"output": s.name, "unit": s.unit, "learned": on}
+            for s, on in zip(self.outputs, self.active, strict=True)
+        ]
 
     @property
     def points(self) -> int:
@@ -164,7 +179,9 @@ class FeaturePosterior(AsFunction):
         if value.get("schema") != SCHEMA:
             raise FileFormatError("wrong schema", expected=SCHEMA, got=repr(value.get("schema")))
         try:
-            numbers = {n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")}
+            numbers: dict[str, Any] = {
+                n: np.asarray(value[n], dtype=np.float64) for n in (*_VECTORS, *_ARRAYS, "prior")
+            }
             return cls(
                 inputs=Layout([Signal(**s) for s in value["inputs"]]),
                 outputs=Layout([Signal(**s) for s in value["outputs"]]),
@@ -181,12 +198,12 @@ class FeaturePosterior(AsFunction):
 
 def silent_features(
     phi: Any, *, method: str, inputs: Layout, outputs: Layout, input_mean: FloatArray, input_scale: FloatArray,
-    output_scale: FloatArray, domain: Domain,
+    output_scale: FloatArray, domain: Domain, members: int = 1,
 ) -> FeaturePosterior:  # fmt: skip
     """Features ready for `fit_open_loop`, their weights still zero."""
     m, n_out = phi.numel_out(0), len(outputs)
     return FeaturePosterior(
         inputs=inputs, outputs=outputs, method=method, phi=phi, input_mean=input_mean, input_scale=input_scale,
         output_scale=output_scale, weights=np.zeros((m, n_out)), root=np.zeros((n_out, m, m)), prior=np.ones(n_out),
-        noise=output_scale**2, domain=domain,
+        noise=output_scale**2, domain=domain, members=members,
     )  # fmt: skip

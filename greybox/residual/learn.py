@@ -29,10 +29,9 @@ from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import available, default_features
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import split_name
-from greybox.residual.learners import GP, Learner, learner_of
+from greybox.residual.learners import GP, Learner, learner_for
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
-from greybox.residual.train import check_extra
 from greybox.residual.weight_space import Candidate
 from greybox.shown import Cell, Shown
 from greybox.validation.calibration import Calibration, calibrate_horizons
@@ -171,11 +170,7 @@ def learn(
     if isinstance(model.dynamics, HybridModel):
         raise ModelError("the model has a learned part already", fix="learn from the model file of the fit")
     split_name(kernel)
-    other = learner_of(learner) if isinstance(learner, str) else learner
-    if other is not None and points == "auto":
-        raise ModelError("points are chosen for a Gaussian process only", got=other.name, fix="give a number of points")
-    if other is not None and kernel != "se":
-        raise ModelError("a kernel is for the Gaussian process", got=f"{kernel} beside {other.name}", fix="one of the two")
+    other = learner_for(learner, points, kernel)
     if place:
         if features is not None:
             raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
@@ -185,8 +180,6 @@ def learn(
         for n in features:
             if n not in there:
                 raise UnknownNameError("feature", n, there)
-    if other is None:
-        check_extra()
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     names = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)

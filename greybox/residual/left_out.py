@@ -1,14 +1,15 @@
 """An output residual judged and calibrated as it will be used: on flights that its weights did not see.
 
 Kernels and support points stay, weights are projected again without each fold (a flight, or a
-stretch where there are few), in closed form. The noise of a new sample is the level that makes the
+stretch of a single one), in closed form. The noise of a new sample is the level that makes the
 left-out errors most likely, and an output keeps its GP only where its density on them beats that of
-the model alone, with the model's own innovation covariance, by more than chance. Errors of the
-flights that were learned from are too small to say either, and a constant is too weak a rival.
+the model alone by more than chance. Errors of the flights that were learned from are too small to
+say either, and a constant is too weak a rival.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +17,14 @@ import scipy.optimize
 
 from greybox.residual import sparse
 from greybox.residual.judgement import CHANCE, better_by_chance
-from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import IntArray, blocks_of
-from greybox.symbolic import BoolArray, FloatArray
+from greybox.residual.weight_space import Candidate, without
+from greybox.symbolic import FloatArray
 
-FEW, STRETCHES = 4, 4
-"""With fewer flights than this, each is cut into so many stretches, which are left out in turn."""
+STRETCHES = 4
+"""A single flight is cut into so many stretches, which are left out in turn."""
+Seen = tuple[FloatArray, FloatArray]
 WIDEST = 10.0
 """The noise level is looked for within this factor of the root mean square of the left-out errors."""
 
@@ -30,35 +32,51 @@ WIDEST = 10.0
 def judged_on_left_out(
     posterior: GPPosterior, z: FloatArray, y: FloatArray, flights: IntArray, own: FloatArray
 ) -> tuple[GPPosterior, tuple[dict[str, float], ...]]:
+    """As `judged_on_errors`, for the weights of a process. z (N, n_in)."""
+    fold = folds_of_rows(flights)
+    seen = [_left_out(posterior, j, z, y[:, j], fold) if a else None for j, a in enumerate(posterior.active)]
+    found, scores = judged_on_errors(replace(posterior, group_noise={}), seen, y, flights, own)
+    assert isinstance(found, GPPosterior)
+    return found, scores
+
+
+def judged_on_errors(
+    posterior: Candidate,
+    seen: Sequence[Seen | None],
+    y: FloatArray,
+    flights: IntArray,
+    own: FloatArray,
+) -> tuple[Candidate, tuple[dict[str, float], ...]]:
     """(the posterior, calibrated, with the outputs switched off that lose; held-out scores by output).
 
-    z (N, n_in), y (N, n_out) one-step errors of the model, `flights` (N,) numbers in order of time,
-    `own` (n_out,) the variance that the model states for them. An output that is off foretells what
-    the model does: no mean, and variance `own`.
+    `seen`: per output the errors (N,) and variances (N,) of its function on rows that its weights
+    did not see, None where it is off already; y (N, n_out) one-step errors of the model, `flights`
+    (N,) numbers in order of time, `own` (n_out,) the variance that the model states for them. The
+    rival is the model with the noise level that suits it best, as the process has. An output that
+    is off foretells what the model does: no mean, and variance `own`.
     """
-    fold = flights if np.unique(flights).size >= FEW else _stretches(flights)
     block = blocks_of(flights, at_least=12)
-    off = np.array([not a for a in posterior.active])
+    off = np.array([s is None for s in seen])
     noise, scores = posterior.noise.copy(), []
-    for j in range(len(posterior.outputs)):
-        plain = _nlpd(y[:, j] ** 2, np.full(len(y), own[j]))
-        found = {"nlpd_model": float(plain.mean())}
-        if not off[j]:
-            error, variance = _left_out(posterior, j, z, y[:, j], fold)
+    for j, left in enumerate(seen):
+        square, none = y[:, j] ** 2, np.zeros(len(y))
+        found = {"nlpd_model": float(_nlpd(square, none + own[j]).mean())}
+        if left is not None:
+            error, variance = left
             noise[j] = _likeliest(error**2, variance)
-            gain = plain - _nlpd(error**2, variance + noise[j])
+            told = _nlpd(error**2, variance + noise[j])
+            gain = _nlpd(square, none + _likeliest(square, none)) - told
             off[j] = gain.mean() <= 0 or better_by_chance(gain, block) > CHANCE
-            found |= {"nlpd": float(plain.mean() - gain.mean()), "gain": float(gain.mean())}
+            found |= {"nlpd": float(told.mean()), "gain": float(gain.mean())}
         scores.append(found)
-    return _switched_off(replace(posterior, noise=noise, group_noise={}), off, own), tuple(scores)
+    return without(replace(posterior, noise=noise), off, own), tuple(scores)
 
 
-def _stretches(flights: IntArray) -> IntArray:
-    fold = np.empty(len(flights), dtype=np.int64)
-    for i, f in enumerate(np.unique(flights)):
-        rows = np.flatnonzero(flights == f)
-        fold[rows] = i * STRETCHES + np.arange(rows.size) * STRETCHES // rows.size
-    return fold
+def folds_of_rows(flights: IntArray) -> IntArray:
+    """Number of the fold of every row: its flight, or its stretch of a single flight. flights (N,)."""
+    if np.unique(flights).size > 1:
+        return flights
+    return np.arange(len(flights)) * STRETCHES // len(flights)
 
 
 def _left_out(
@@ -92,17 +110,3 @@ def _likeliest(square: FloatArray, variance: FloatArray) -> float:
         lambda s: float(_nlpd(square, variance + np.exp(s)).mean()), bounds=ends, method="bounded"
     )
     return float(np.exp(found.x))
-
-
-def _switched_off(posterior: GPPosterior, off: BoolArray, own: FloatArray) -> GPPosterior:
-    """The posterior whose outputs in `off` (n_out,) say nothing: no mean, no variance but the noise `own`."""
-    on = ~off
-    kernels = tuple(
-        Kernel(family=k.family, lengthscales=k.lengthscales, variance=0.0) if o else k
-        for k, o in zip(posterior.kernels, off, strict=True)
-    )
-    return replace(
-        posterior, kernels=kernels, weights=posterior.weights * on, output_mean=posterior.output_mean * on,
-        explained=posterior.explained * on[:, None, None], uncertain=posterior.uncertain * on[:, None, None],
-        noise=np.where(off, own, posterior.noise),
-    )  # fmt: skip

@@ -57,8 +57,10 @@ from greybox.residual.strengths import (
 )
 from greybox.residual.weight_space import (
     Candidate,
+    alone,
     factors,
     fitted,
+    members_of,
     plain_weights,
     silent,
     weighted,
@@ -145,6 +147,7 @@ class Basis:
         self.posterior = posterior
         self.m, self.outputs = posterior.points, len(posterior.outputs)
         self.size = self.m * self.outputs
+        self.members = members_of(posterior)
         self.rows = [model.dynamics.noises[n] for n in posterior.outputs.names]
         self.look = feature_function(model.dynamics, posterior.inputs.names)
         self.factors = factors(posterior)
@@ -370,7 +373,8 @@ def fit_open_loop(
         folds = folds_of(owners)
         parts = paths.all_normal(bases, blocks, lambda text, share: say(text, 0.6 * share))
         found = {
-            label: choose(judged(own, folds), by_channel(own, "cost"), outputs, strengths) for label, own in parts.items()
+            label: choose(judged(own, folds), by_channel(own, "cost"), outputs, strengths, bases[label].members)
+            for label, own in parts.items()
         }
         best = max(found, key=lambda label: found[label][1])
         if maker is not None:
@@ -416,7 +420,7 @@ def _judged_apart(
             parts = paths.all_normal(bases, blocks, lambda _text, _share: None)
             outputs = next(iter(bases.values())).posterior.outputs.names
             both = halves.judged([parts[h] for h in made], folds)
-            found[label] = choose(both, by_channel(parts["0"], "cost"), outputs, strengths)
+            found[label] = choose(both, by_channel(parts["0"], "cost"), outputs, strengths, bases["0"].members)
         if np.isfinite(found[label][0]).any():
             return label
     return order[0]
@@ -442,14 +446,14 @@ def _iterate(
     theta = np.zeros(basis.size)
     status, done = "iteration limit", 0
     for done in range(1, iterations + 1):
-        g = total(parts, "gradient")[on] + prior * theta[on]
         step = np.zeros(basis.size)
-        step[on] = -np.linalg.solve(total(parts, "hessian")[np.ix_(on, on)] + np.diag(prior), g)
+        at = np.ix_(on, on)
+        step[on], g = _newton(total(parts, "hessian")[at], total(parts, "gradient")[on], prior, theta[on], basis)
         moved, new = theta, np.inf
         for share in (1.0, 0.5, 0.25, 0.125):
             moved = theta + share * step
             paths.extra = basis.weights(moved)
-            new = paths.cost() + float(prior @ moved[on] ** 2)
+            new = paths.cost() + basis.members * float(prior @ moved[on] ** 2)
             if new < value:
                 break
         if not new < value:
@@ -464,12 +468,27 @@ def _iterate(
         if done < iterations:
             parts = [n for r in paths.records for n in paths.normal(r, [basis])[0]]
     paths.extra = basis.weights(theta)
-    hessian = total(parts, "hessian") + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
+    hessian = alone(total(parts, "hessian"), basis.members, basis.m)
+    hessian = hessian + np.diag(np.repeat(np.where(np.isfinite(chosen), chosen, 1.0), basis.m))
     found = OpenLoopFit(
         posterior=fitted(basis.posterior, theta, _inverse(hessian), chosen, factor), strengths=strengths, cost_before=before,
         cost_after=paths.cost(), held_out_gain=gain, iterations=done, status=status,
     )  # fmt: skip
     return found, theta
+
+
+def _newton(
+    hessian: FloatArray, gradient: FloatArray, prior: FloatArray, theta: FloatArray, basis: Basis
+) -> tuple[FloatArray, FloatArray]:
+    """(Gauss-Newton step of theta (P,), slope of the penalised cost): Hessian (P, P) and gradient (P,) of the cost at theta.
+
+    Each member k of an ensemble with mean theta solves its own normal equations, linearised along the path of the mean:
+    H_kk theta_k + prior theta_k = (H theta)_k - g_k. With one member this is the ordinary step.
+    """
+    own, block = basis.members * theta, alone(hessian, basis.members, basis.m)
+    slope = gradient + prior * own + (block @ own - hessian @ theta)
+    step = -np.linalg.solve(block + np.diag(prior), slope) / basis.members
+    return np.asarray(step, dtype=np.float64), slope
 
 
 def _left_out(
@@ -480,13 +499,13 @@ def _left_out(
     flights = [r.flight for r in paths.records for _ in range(blocks)]
     on = np.isfinite(np.repeat(chosen, basis.m))
     at, prior = np.ix_(on, on), np.repeat(chosen, basis.m)[on]
-    whole_h, whole_g = total(parts, "hessian")[at] + np.diag(prior), total(parts, "gradient")[on] + prior * theta[on]
+    whole_h, whole_g = total(parts, "hessian")[at], total(parts, "gradient")[on]
     seen: dict[str, FloatArray] = {}
     unseen: dict[str, FloatArray] = {}
     for fold in folds_of(owners):
         own = [parts[i] for i in fold]
         left_h, left_g = whole_h - total(own, "hessian")[at], whole_g - total(own, "gradient")[on]
-        d = -np.linalg.solve(left_h, left_g)
+        d, _ = _newton(left_h, left_g, prior, theta[on], basis)
         for i in fold:
             g, h = parts[i].gradient[:, on], parts[i].hessian[:, on][:, :, on]
             seen[flights[i]] = seen.get(flights[i], 0.0) + parts[i].cost
@@ -514,14 +533,14 @@ def _dispersion(
     if not on.any():
         return out
     at, prior = np.ix_(on, on), np.diag(np.repeat(chosen, basis.m)[on])
-    h, g = total(parts, "hessian")[at] + prior, total(parts, "gradient")[on]
+    h, g = alone(total(parts, "hessian")[at], basis.members, basis.m) + prior, total(parts, "gradient")[on]
     theta, whole = -np.linalg.solve(h, g), np.linalg.inv(h)
     groups = np.repeat([n.split(".")[0] for n in basis.posterior.outputs.names], basis.m)[on]
     kinds = list(dict.fromkeys(groups.tolist()))
     moved, expected = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
     for fold in folds:
         own = [parts[i] for i in fold]
-        hf, gf = total(own, "hessian")[at], total(own, "gradient")[on]
+        hf, gf = alone(total(own, "hessian")[at], basis.members, basis.m), total(own, "gradient")[on]
         without = np.linalg.inv(h - hf)
         d = without @ (gf + hf @ theta)
         for kind in kinds:

@@ -33,11 +33,16 @@ from greybox.model.identified import SCHEMA, IdentifiedModel, library_versions
 from greybox.model.linear import LinearModel
 from greybox.residual.base_predictor import RUN_IN, Base, BasePredictor
 from greybox.residual.decoupled import Terms, combined
+from greybox.residual.discrepancy import Discrepancy
+from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import default_features
+from greybox.residual.learners import GP, Learner, learner_for
 from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.options import GPChoices, GPOptions
+from greybox.residual.output_learner import fit_features
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.regressors import segments_of
+from greybox.residual.weight_space import Candidate, learned_numbers
 from greybox.shown import Row, Shown
 from greybox.symbolic import FloatArray, Layout, Signal
 
@@ -47,20 +52,21 @@ LINEAR_SCHEMAS = ("greybox.linear_model/1", "greybox.linear_models/1")
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OutputHybrid(Shown):
-    """`base` plus the Gaussian process `posterior` on its one-step errors. Plain numbers, no torch.
+    """`base` plus `posterior` on its one-step errors: a Gaussian process, or another learner's
+    features. Plain numbers, no torch.
 
     The posterior's outputs are those of `base`, its inputs features of `BasePredictor.feature_layout`. Raises `ModelError`.
     """
 
     base: BasePredictor
-    posterior: GPPosterior
+    posterior: Candidate
     train_seconds: float = 0.0
     report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.posterior.outputs.names != self.base.outputs:
             raise ModelError(
-                "the GP does not foretell the errors of this model", expected=", ".join(self.base.outputs),
+                "the learned part does not foretell the errors of this model", expected=", ".join(self.base.outputs),
                 got=", ".join(self.posterior.outputs.names),
             )  # fmt: skip
         self.base.feature_layout(self.posterior.inputs.names)
@@ -76,7 +82,8 @@ class OutputHybrid(Shown):
     @property
     def name(self) -> str:
         """Name of the base model and what was learned."""
-        return f"{self.base.model.name} + output GP"
+        learned = self.posterior.method if isinstance(self.posterior, FeaturePosterior) else "GP"
+        return f"{self.base.model.name} + output {learned}"
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -85,13 +92,15 @@ class OutputHybrid(Shown):
 
     @property
     def features(self) -> tuple[str, ...]:
-        """Names of what the Gaussian process looks at."""
+        """Names of what the learned part looks at."""
         return self.posterior.inputs.names
 
     @cached_property
     def parameters(self) -> int:
         """Those of the base, hyper-parameters, support points and weights."""
         gp = self.posterior
+        if isinstance(gp, FeaturePosterior):
+            return self.base.parameters + learned_numbers(gp)
         kernels = {id(k): k for k in gp.kernels}
         own = sum(len(k.lengthscales) + 1 for k in kernels.values()) + gp.noise.size + gp.support.size + gp.weights.size
         return self.base.parameters + own
@@ -125,7 +134,7 @@ class OutputHybrid(Shown):
                 "channels": {n: [list(t) for t in terms] for n, terms in base.channels.items()},
                 "outputs": list(base.outputs),
                 "adapt": base.adapt,
-                "gp": self.posterior.to_dict(),
+                "learned" if isinstance(self.posterior, FeaturePosterior) else "gp": self.posterior.to_dict(),
                 "train_seconds": self.train_seconds,
                 "base_seconds": base.train_seconds,
                 "report": dict(self.report),
@@ -158,10 +167,12 @@ class OutputHybrid(Shown):
                 channels={n: tuple((float(w), c) for w, c in terms) for n, terms in body["channels"].items()},
                 adapt=body["adapt"], train_seconds=float(body["base_seconds"]),
             )  # fmt: skip
+            learned: Candidate = (
+                GPPosterior.from_dict(body["gp"]) if "gp" in body else FeaturePosterior.from_dict(body["learned"])
+            )
             return OutputHybrid(
-                base=base, posterior=GPPosterior.from_dict(body["gp"]), train_seconds=float(body["train_seconds"]),
-                report=body["report"],
-            )  # fmt: skip
+                base=base, posterior=learned, train_seconds=float(body["train_seconds"]), report=body["report"]
+            )
         except (KeyError, TypeError, AttributeError, ValueError, IndexError, ArithmeticError) as error:
             if isinstance(error, GreyboxError):
                 raise
@@ -225,20 +236,20 @@ def fit_output_residual(
     channels: Mapping[str, Terms] | None = None,
     features: Sequence[str] | None = None,
     adapt: float | None = None,
+    learner: str | Learner = GP,
     progress: Callable[[str, float], None] | None = None,
     **choices: Unpack[GPChoices],
 ) -> OutputHybrid:
     """Learn the one-step errors of `model` (decoupled linear models: several) on the flights of `train`.
 
     `outputs`, `channels` and `adapt` are those of `BasePredictor`; `features` default to `output_features`; the choices
-    (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`. Raises `DataError`, `UnknownNameError`,
-    `ModelError`, and `MissingExtraError` without the extra `gp`.
+    (`kernel`, `points`, `seed`, `hold_out`, ...) are those of `train_gp`, of which another `learner` (as in
+    `greybox.residual.learn.learn`) knows `points` and `seed`. Raises `DataError`, `UnknownNameError`, `ModelError`, and
+    `MissingExtraError` without the extra `gp`.
     """
-    from greybox.residual.train import check_extra, train_gp
-
-    check_extra()
-    began = time.perf_counter()
     options = GPOptions.of(GPOptions(noise_inflation=1.0), choices)
+    other = learner_for(learner, options.points, options.kernel)
+    began = time.perf_counter()
     if isinstance(model, BasePredictor):
         base = model
     else:
@@ -249,31 +260,70 @@ def fit_output_residual(
     segments = segments_of(train)
     common = [n for n in segments[0].names if all(n in s.channels for s in segments)] if segments else []
     names = tuple(features) if features is not None else output_features(base, common)
-    layout = base.feature_layout(names)
+    inputs = base.feature_layout(names)
     z, r, flights = residual_rows(base, segments, names)
     units = {s.name: s.unit for s in base.dynamics.outputs}
-    trained = train_gp(
-        z, r, inputs=layout, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), options=options,
-        groups=flights, progress=progress,
+    rows = Discrepancy(
+        inputs=inputs, outputs=Layout([Signal(name=n, unit=units[n]) for n in base.outputs]), z=z, y=r,
+        flights=tuple(flights.tolist()),
     )  # fmt: skip
-    settings = {"features": list(names), "kernel": options.kernel, "points": options.points}
-    _, numbers = np.unique(flights, return_inverse=True)
-    own = np.diag(base.gain[1])[base.rows]
-    posterior, scores = judged_on_left_out(trained.posterior, z, r, numbers, own)
-    training = trained.report.to_dict()
-    training["left_out"] = dict(zip(base.outputs, scores, strict=True))
-    training["warnings"] = [
-        *training["warnings"],
-        *(
-            f"{n}: left-out flights do not prefer the GP to the model alone, which stays as it was"
-            for n, before, after in zip(base.outputs, trained.posterior.active, posterior.active, strict=True)
-            if before and not after
-        ),
-    ]
+    posterior: Candidate
+    if other is None:
+        posterior, training = _process(base, rows, options, progress)
+    else:
+        posterior, training = _learned(base, rows, other, options)
+    settings = {"features": list(names), "learner": GP if other is None else other.name, "points": options.points}
+    settings |= {"kernel": options.kernel} if other is None else {}
     return OutputHybrid(
         base=base, posterior=posterior, train_seconds=time.perf_counter() - began,
         report={"settings": settings, "seed": options.seed, "samples": len(z), "training": training},
     )  # fmt: skip
+
+
+def _process(
+    base: BasePredictor, rows: Discrepancy, options: GPOptions, progress: Callable[[str, float], None] | None
+) -> tuple[GPPosterior, dict[str, Any]]:
+    """A Gaussian process on the errors, judged, and how it was trained."""
+    from greybox.residual.train import train_gp
+
+    trained = train_gp(
+        rows.z, rows.y, inputs=rows.inputs, outputs=rows.outputs, options=options, groups=np.array(rows.flights),
+        progress=progress,
+    )  # fmt: skip
+    _, numbers = np.unique(rows.flights, return_inverse=True)
+    posterior, scores = judged_on_left_out(trained.posterior, rows.z, rows.y, numbers, _own(base))
+    training = trained.report.to_dict()
+    training["left_out"] = dict(zip(base.outputs, scores, strict=True))
+    training["warnings"] = [*training["warnings"], *_refused(base.outputs, trained.posterior.active, posterior)]
+    return posterior, training
+
+
+def _learned(
+    base: BasePredictor, rows: Discrepancy, learner: Learner, options: GPOptions
+) -> tuple[FeaturePosterior, dict[str, Any]]:
+    """Another learner's features on the errors, judged, and how they were fitted."""
+    found = fit_features(learner, rows, _own(base), points=int(options.points), seed=options.seed)
+    return found.posterior, {
+        "chosen": found.chosen,
+        "candidates": dict(found.candidates),
+        "left_out": dict(zip(base.outputs, found.scores, strict=True)),
+        "warnings": _refused(base.outputs, (True,) * len(base.outputs), found.posterior),
+    }
+
+
+def _own(base: BasePredictor) -> FloatArray:
+    """Variances (n_o,) that a model states for its one-step errors."""
+    return np.asarray(np.diag(base.gain[1])[base.rows])
+
+
+def _refused(outputs: Sequence[str], before: Sequence[bool], posterior: Candidate) -> list[str]:
+    """What is to be said of the outputs that the left-out flights switched off."""
+    what = posterior.method if isinstance(posterior, FeaturePosterior) else "GP"
+    return [
+        f"{n}: left-out flights do not prefer the {what} to the model alone, which stays as it was"
+        for n, was, on in zip(outputs, before, posterior.active, strict=True)
+        if was and not on
+    ]
 
 
 def read_linear(

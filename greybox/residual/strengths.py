@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.residual.weight_space import Candidate
+from greybox.residual.weight_space import Candidate, alone
 from greybox.symbolic import BoolArray, FloatArray
 
 HARM = 1e-4
@@ -81,27 +81,28 @@ def judged(parts: Sequence[Normal], folds: Sequence[Sequence[int]]) -> list[Judg
 
 
 def choose(
-    found: Sequence[Judged], cost: FloatArray, outputs: Sequence[str], strengths: Sequence[float]
+    found: Sequence[Judged], cost: FloatArray, outputs: Sequence[str], strengths: Sequence[float], members: int = 1
 ) -> tuple[FloatArray, float]:
     """Prior strength per output by leaving kinds of flight out, in the quadratic model of the cost; share of it saved.
 
     `cost` (C,) of the channel groups without a learned part. Outputs of a group (force, torque) share one strength. A
     choice must not raise the left-out errors of any channel group, whatever it saves elsewhere. Among choices within one
-    standard error of the best the strongest prior wins.
+    standard error of the best the strongest prior wins. Of an ensemble of `members` it is the mean that is judged.
     """
     groups = [n.split(".")[0] for n in outputs]
     kinds = list(dict.fromkeys(groups))
     results: dict[tuple[float, ...], FloatArray] = {}
+    m = found[0].left_gradient.size // len(groups)
+    left = [alone(fold.left_hessian, members, m) for fold in found]
     for choice in itertools.product(strengths, repeat=len(kinds)):
         saved = np.zeros((len(found), len(cost)))
         for i, fold in enumerate(found):
-            m = fold.left_gradient.size // len(groups)
             prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
             on = np.isfinite(prior)
             if not on.any():
                 continue
             at = np.ix_(on, on)
-            theta = -np.linalg.solve(fold.left_hessian[at] + np.diag(prior[on]), fold.left_gradient[on])
+            theta = -np.linalg.solve(left[i][at] + np.diag(prior[on]), fold.left_gradient[on]) / members
             bent = fold.hessian[:, on][:, :, on] @ theta
             saved[i] = -(2 * fold.gradient[:, on] @ theta + bent @ theta)
         if (saved.sum(axis=0) >= -HARM * cost).all():

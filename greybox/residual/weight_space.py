@@ -2,6 +2,10 @@
 
 g_j(z) = s_j psi_j(x)'theta_j with theta ~ N(0, I) before the data. Of a Gaussian process psi_j = L_j^-1 k_j(support, x) with
 K = L L'; of a learner's features psi = phi for every output. The two kinds differ in this file and nowhere else.
+
+The K members of an ensemble stand side by side as one wide column of features. Each is fitted on its own, theta_k from its
+own block of the Hessian (`alone`); the ensemble is their mean, with weights theta_k/K, and how much they disagree is part
+of its variance: a quadratic form of the same features (Lakshminarayanan, Pritzel and Blundell 2017, NIPS).
 """
 
 from __future__ import annotations
@@ -12,12 +16,27 @@ import casadi as ca
 import numpy as np
 
 from greybox.residual.feature_posterior import FeaturePosterior
+from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.sparse import safe_cholesky, variational
-from greybox.symbolic import Expr, FloatArray, evaluate
+from greybox.symbolic import BoolArray, Expr, FloatArray, evaluate
 
 Candidate = GPPosterior | FeaturePosterior
 """A learned part whose features are chosen and whose weights are open."""
+
+
+def members_of(post: Candidate) -> int:
+    """How many equal blocks of features are fitted each on its own; 1 of what is no ensemble."""
+    return post.members if isinstance(post, FeaturePosterior) else 1
+
+
+def alone(matrix: FloatArray, members: int, features: int) -> FloatArray:
+    """A matrix (P, P) over the whitened weights of outputs with `features` each, without what couples one member with
+    another; the matrix itself where there is one."""
+    if members == 1:
+        return matrix
+    owner = np.arange(len(matrix)) % features // (features // members)
+    return np.where(owner[:, None] == owner, matrix, 0.0)
 
 
 def learned_numbers(post: Candidate) -> int:
@@ -77,10 +96,26 @@ def silent(post: Candidate) -> Candidate:
     return replace(post, **zero)
 
 
+def without(post: Candidate, off: BoolArray, noise: FloatArray) -> Candidate:
+    """The same whose outputs in `off` (n_out,) say nothing: no mean, no variance but their `noise` (n_out,)."""
+    on, level = ~off, np.where(off, noise, post.noise)
+    if isinstance(post, FeaturePosterior):
+        return replace(post, weights=post.weights * on, root=post.root * on[:, None, None], noise=level)
+    kernels = tuple(
+        Kernel(family=k.family, lengthscales=k.lengthscales, variance=0.0) if o else k
+        for k, o in zip(post.kernels, off, strict=True)
+    )
+    return replace(
+        post, kernels=kernels, weights=post.weights * on, output_mean=post.output_mean * on,
+        explained=post.explained * on[:, None, None], uncertain=post.uncertain * on[:, None, None], noise=level,
+    )  # fmt: skip
+
+
 def fitted(
     post: Candidate, theta: FloatArray, covariance: FloatArray, prior: FloatArray, factor: FloatArray
 ) -> Candidate:
     """Plain numbers of the fitted part from whitened theta (P,) and its covariance (P, P); an output that is off is empty.
+    Of an ensemble: theta of the mean, covariance of the members.
 
     A prior of strength lambda is the process with its variance divided by lambda, so that the variance far from the data is
     that of the prior which the left-out flights chose; `factor` (n_out,) multiplies both.
@@ -96,8 +131,11 @@ def fitted(
         weights, root, before = np.zeros_like(post.weights), np.zeros_like(post.root), post.prior.copy()
         for j in on:
             weights[:, j] = theta[j * m : (j + 1) * m]
-            root[j] = np.sqrt(factor[j]) * roots[j].T
-            before[j] = factor[j] / prior[j]
+            root[j] = np.sqrt(factor[j] / post.members) * roots[j].T
+            before[j] = factor[j] / (prior[j] * post.members)
+            if post.members > 1:
+                apart = _disagreement(weights[:, j], post.members)
+                root[j] = np.linalg.cholesky(root[j].T @ root[j] + apart).T
         return replace(post, weights=weights, root=root, prior=before)
     scale = post.output_scale.copy()
     arrays = {k: np.zeros_like(getattr(post, k)) for k in ("weights", "explained", "uncertain")}
@@ -110,3 +148,14 @@ def fitted(
     return replace(
         post, method="svgp", output_scale=scale, output_mean=np.zeros(len(post.outputs)), variance_factor=(), **arrays
     )
+
+
+def _disagreement(mean: FloatArray, members: int) -> FloatArray:
+    """D (M, M) with phi'D phi the mean square distance of the members from their mean, from the weights (M,) of the mean."""
+    own = np.zeros((members, mean.size))
+    width = mean.size // members
+    for k in range(members):
+        at = slice(k * width, (k + 1) * width)
+        own[k, at] = members * mean[at]
+    away = own - mean
+    return np.asarray(away.T @ away / members)

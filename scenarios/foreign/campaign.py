@@ -1,6 +1,7 @@
 """Fit drawn craft with the plain command and hold the results to the truth: one row per seed.
 
     python -m scenarios.foreign.campaign --seeds 1 60 --out DIR [--simulator rotorpy] [-- options]
+    python -m scenarios.foreign.campaign --out DIR --summary
 
 Every seed is drawn into a folder of DIR and fitted by `greybox fit` with its vehicle file, three
 training flights, two test flights and the options after `--`, and nothing else. DIR/rows.jsonl
@@ -191,6 +192,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--simulator", choices=SIMULATORS)
     parser.add_argument("--hidden", nargs="*", default=[])
+    parser.add_argument("--summary", action="store_true", help="only print what is there")
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     arguments = parser.parse_args(given[:cut])
@@ -198,6 +200,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     path = arguments.out / "rows.jsonl"
     kept = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     rows = {row.seed: row for row in (Row(**json.loads(text)) for text in kept)}
+    if arguments.summary:
+        print("\n".join([*map(line, rows.values()), summary(rows.values())]))
+        return 0
     first, last = arguments.seeds
     began = time.monotonic()
     for seed in range(first, last + 1):

@@ -29,6 +29,7 @@ from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.narx import search_narx
+from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Layout, Signal
 from scenarios.studies.paper_data import COMMANDS, DT, EULER, OUTPUTS, POSITION, TRAIN, VALIDATION, PaperData, plant
 
@@ -292,7 +293,9 @@ def _hybrid(
         notes={
             "search": tried,
             "active": list(best.posterior.active),
-            "noise_inflation": list(best.posterior.noise_inflation),
+            "noise_inflation": list(best.posterior.noise_inflation)
+            if isinstance(best.posterior, GPPosterior)
+            else [],
             "validation_without_gp": float(np.mean((bench.measured - base.mean)[validation] ** 2 / scale)),
         },
     )

@@ -227,6 +227,8 @@ BAD = {
     "no fit": ["v.toml", "a.csv", "--skip", "fit"],
     "a rate of nothing": ["v.toml", "a.csv", "--rate", "0"],
     "a log that does not know its craft": ["a.csv"],
+    "a vehicle file alone": ["v.toml"],
+    "nothing": [],
 }
 
 
@@ -239,6 +241,13 @@ def test_bad_input_is_one_line(words, flights, tmp_path, monkeypatch, capsys):
     assert said.err.startswith("greybox identify: ")
     assert said.err.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_files_can_be_said_as_to_the_other_commands(copy, flights, capsys):
+    a, b, t, v = (str(flights / n) for n in ("a.csv", "b.csv", "t.csv", "v.toml"))
+    words = ["identify", "--vehicle", v, "--train", a, b, "--test", t, "--skip", "discover,learn", "--out", str(copy)]
+    assert main(words) == 0
+    assert f"fit {DONE}" in capsys.readouterr().err  # the request is the same one: nothing is done again
 
 
 def test_a_folder_of_somebody_else_stays_as_it_is(flights, tmp_path, capsys):

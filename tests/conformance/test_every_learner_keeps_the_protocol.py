@@ -31,10 +31,11 @@ from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
 from greybox.residual.learners import LEARNERS, learner_of
+from greybox.residual.learners.deep_ensemble import MEMBERS
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.open_loop_fit import fit_open_loop
 from greybox.residual.strengths import Halves
-from greybox.residual.weight_space import factors, fitted, plain_weights, silent, weighted, whitened
+from greybox.residual.weight_space import alone, factors, fitted, plain_weights, silent, weighted, whitened
 from greybox.symbolic import Layout, Signal
 from mpc_export.bundle import write_bundle
 from tests.mpc_export import cases, compiled
@@ -54,6 +55,20 @@ class Bumps:
 class Broken(Bumps):
     def features(self, x, y, *, points, seed):
         return {"broken": lambda s: ca.log(s[0])}
+
+class Steep(Bumps):
+    def features(self, x, y, *, points, seed):
+        return {"steep": lambda s: ca.sqrt(ca.fabs(s))}
+
+class Void(Bumps):
+    def features(self, x, y, *, points, seed):
+        return np.nan * x
+
+class Uneven(Bumps):
+    ensemble = True
+
+    def features(self, x, y, *, points, seed):
+        return {"a": lambda s: s, "b": lambda s: s[0]}
 
 class Fails(Bumps):
     def features(self, x, y, *, points, seed):
@@ -98,8 +113,8 @@ def regressed(candidate: FeaturePosterior, seen: Discrepancy) -> FeaturePosterio
     theta, covariance = np.zeros(2 * m), np.zeros((2 * m, 2 * m))
     for j, psi in enumerate(whitened(candidate, factors(candidate), x)):
         at, slope = slice(j * m, (j + 1) * m), candidate.output_scale[j] * psi
-        covariance[at, at] = np.linalg.inv(slope.T @ slope / noise + np.eye(m))
-        theta[at] = covariance[at, at] @ slope.T @ seen.y[:, j] / noise
+        covariance[at, at] = np.linalg.inv(alone(slope.T @ slope / noise, candidate.members, m) + np.eye(m))
+        theta[at] = covariance[at, at] @ slope.T @ seen.y[:, j] / noise / candidate.members
     found = fitted(candidate, theta, covariance, prior, np.ones(2))
     assert isinstance(found, FeaturePosterior)
     z = ca.SX.sym("z", 2)
@@ -158,6 +173,30 @@ def test_the_sparse_law_finds_the_terms() -> None:
     assert min(sizes) <= 3
 
 
+def test_an_ensemble_is_the_mean_of_members_fitted_alone_and_says_how_they_disagree() -> None:
+    seen = rows()
+    learner = learner_of("ensemble")
+    assert learner is not None
+    (candidate,) = feature_candidates(learner, seen, points=30, seed=0).values()
+    assert candidate.members == MEMBERS
+    whole, width = regressed(candidate, seen), candidate.points // MEMBERS
+    z = np.array([[0.7, 0.05], [9.0, 0.9]])
+    means, variances = [], []
+    for k in range(MEMBERS):
+        s = ca.SX.sym("x", 2)
+        part = ca.Function("phi", [s], [candidate.phi(s)[k * width : (k + 1) * width]])
+        shape = {"weights": np.zeros((width, 2)), "root": np.zeros((2, width, width))}
+        member = regressed(replace(candidate, phi=part, members=1, **shape), seen)
+        mean, variance = member.evaluate(z)
+        means.append(mean)
+        variances.append(variance)
+    mean, variance = whole.evaluate(z)
+    assert np.allclose(mean, np.mean(means, axis=0), rtol=1e-8)
+    assert np.allclose(variance, np.mean(variances, axis=0) + np.var(means, axis=0), rtol=1e-6)
+    disagreement = np.std(means, axis=0) / seen.y.std(axis=0)
+    assert (disagreement[1] > 5 * disagreement[0]).all()
+
+
 def test_a_users_own_learner_is_one_file(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(OWN)
     own = learner_of(f"{tmp_path}/own.py:Bumps")
@@ -168,7 +207,13 @@ def test_a_users_own_learner_is_one_file(tmp_path: Path) -> None:
     assert broken is not None
     with pytest.raises(ModelError, match="not finite on the training flights"):
         feature_candidates(broken, rows(), points=12, seed=0)
-    for name, why in (("Fails", "NameError"), ("Wide", "no column")):
+    for name, why in (
+        ("Fails", "NameError"),
+        ("Wide", "no column"),
+        ("Steep", "not finite"),
+        ("Void", "failed"),
+        ("Uneven", "of different size"),
+    ):
         bad = learner_of(f"{tmp_path}/own.py:{name}")
         assert bad is not None
         with pytest.raises(ModelError, match=why):

@@ -71,7 +71,8 @@ def test_a_log_without_a_whole_quaternion_keeps_its_columns():
 
 
 @pytest.mark.parametrize(
-    ("share", "said"), [(1.03, "all of it: at the floor"), (0.996, "all of it: at the floor"), (0.99, "99 %"), (-0.1, "-10 %")]
+    ("share", "said"),
+    [(1.03, "all of it: at the floor"), (0.996, "all of it: at the floor"), (0.99, "99 %"), (-0.1, "-10 %")],
 )
 def test_more_than_all_of_a_gap_is_at_the_floor(share: float, said: str):
     assert closed_in_words(share) == said

@@ -5,8 +5,14 @@ Where it is kept its stated noise is that of left-out flights; where not, the hy
 
 from __future__ import annotations
 
-import numpy as np
+import json
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from greybox.cli import main
+from greybox.examples import flight_path, vehicle_path
 from greybox.residual.kernels import Kernel
 from greybox.residual.left_out import judged_on_left_out
 from greybox.residual.posterior import Domain, GPPosterior
@@ -61,3 +67,42 @@ def test_a_noise_that_is_stated_too_large_is_set_right() -> None:
     mean, variance = found.evaluate(new, noise=True)
     seen = 0.3 * np.sin(2 * new[:, 0]) + 0.05 * rng.standard_normal(2000)
     assert 0.92 < np.mean(np.abs(seen - mean[:, 0]) < 1.96 * np.sqrt(variance[:, 0])) < 0.98
+
+
+def test_a_process_that_only_states_a_better_noise_is_refused() -> None:
+    """Errors that no input tells of, and a model that overstates them by half: the noise is wrong, not the mean."""
+    rng = np.random.default_rng(4)
+    flight = np.repeat(np.arange(3), 150)
+    z = rng.uniform(-2, 2, (450, 1))
+    y = 0.05 * rng.standard_normal((450, 2))
+    found, _ = judged_on_left_out(trained(z, y, 0.0025), z, y, flight, np.full(2, 0.075**2))
+    assert found.active == (False, False)
+
+
+@pytest.fixture(scope="module")
+def circles(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], list[str]]:
+    """A linear model of three real circles, p, q and r from u1..u4, by the plain command."""
+    out = tmp_path_factory.mktemp("linear")
+    train = [str(flight_path("nanobench", f"B2_circle_{speed}_rep1")) for speed in ("slow", "medium", "fast")]
+    vehicle = ["--vehicle", str(vehicle_path("nanobench"))]
+    channels = ["--inputs", "u1,u2,u3,u4", "--outputs", "p,q,r"]
+    main(["linear", "--train", *train, *channels, *vehicle, "--out", str(out)])
+    return out / "model.json", train, vehicle
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", ["gp", "random-features", "ensemble"])
+def test_no_learner_makes_a_linear_model_of_real_circles_worse(
+    learner: str, circles: tuple[Path, list[str], list[str]], tmp_path: Path
+) -> None:
+    """On a flight of another kind: density and squared error of every channel, and what is said of the intervals."""
+    model, train, vehicle = circles
+    test = ["--test", str(flight_path("nanobench", "B3_figure8_fast_rep1"))]
+    options = [*vehicle, "--learner", learner, "--out", str(tmp_path)]
+    assert main(["learn", str(model), "--train", *train, *test, *options]) == 0
+    checked = json.loads((tmp_path / "learn.json").read_text())["validation"]
+    for name, after in checked["after"]["one_step"]["channels"].items():
+        before = checked["before"]["one_step"]["channels"][name]
+        assert after["nlpd"] <= before["nlpd"] + 0.01, (name, before["nlpd"], after["nlpd"])
+        assert after["mse"] <= 1.01 * before["mse"], name
+        assert abs(after["coverage95"] - 0.95) <= abs(before["coverage95"] - 0.95) + 0.01, name

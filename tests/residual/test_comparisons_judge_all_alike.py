@@ -17,8 +17,9 @@ from greybox.report.compare_report import compare_report, format_table
 from greybox.residual import compare_methods
 from greybox.residual.compare import compare
 from greybox.residual.compare_bench import Bench
-from greybox.residual.compare_methods import METHODS, Outcome, candidates
+from greybox.residual.compare_methods import METHODS, Outcome, candidates, pairs
 from greybox.residual.compare_scores import one_step_scores
+from greybox.residual.learners import LEARNERS
 from tests.simulated import flights, vehicle
 
 SCHEMA = json.loads(files("greybox").joinpath("schemas/compare.json").read_text())
@@ -84,6 +85,7 @@ def test_the_page_and_the_table_name_every_method(results):
     assert "ZeroDivisionError" in page
     ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
     assert page.count("PIT histogram of") >= 2
+    assert page.count("histogram of the errors of") >= 2
     assert "h=50" in text
 
 
@@ -103,6 +105,20 @@ def test_means_are_over_standardised_channels():
         one_step_scores([np.ones_like(y)], [y], [np.ones_like(y)], spread=np.ones(2), **given)
 
 
+def test_a_deviation_that_follows_the_error_and_the_manoeuvre_is_seen_to_do_so():
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((4000, 2))
+    size = 0.1 + np.linalg.norm(u - u.mean(axis=0), axis=1)[:, None]
+    y = size * rng.standard_normal((4000, 1))
+    given = {"names": ("p",), "units": ("",), "dt": 0.01, "spread": np.ones(1)}
+    told = one_step_scores([y], [0 * y], [size**2], [u], **given)["channels"]["p"]
+    assert told["sigma_manoeuvre"] == pytest.approx(1.0)
+    assert 0.3 < told["sigma_error"] < 0.7
+    assert sum(told["histogram"]) == pytest.approx(1.0) and len(told["histogram"]) == 16
+    flat = one_step_scores([y], [0 * y], [0 * y + 1.0], [u], **given)["channels"]["p"]
+    assert flat["sigma_error"] is None and flat["sigma_manoeuvre"] is None
+
+
 def test_all_searches_have_the_budget_and_try_every_kind():
     drawn = candidates(bench(budget=4), {"features": ("a", "b"), "kernel": (1, 2), "points": (3, 4)}, "features")
     assert [d["features"] for d in drawn] == ["a", "b", "a", "b"]
@@ -114,6 +130,34 @@ def test_methods_that_the_issue_asks_for_are_there():
             "nonlinear PEM + GP"} <= set(METHODS)  # fmt: skip
     with pytest.raises(UnknownNameError, match="linear SISO PEM"):
         next(compare(bench(), ("linear SIS PEM",)))
+
+
+def test_pairs_are_every_model_with_every_learner(judged):
+    found = pairs(("gp", *LEARNERS))
+    assert set(found) | set(METHODS) >= {
+        f"{base} PEM + {learner}"
+        for base in ("linear SISO", "linear MIMO", "nonlinear")
+        for learner in LEARNERS
+    } | {"linear PEM + GP", "linear MIMO PEM + GP", "nonlinear PEM + GP"}
+    judged.budget = 1
+    rows = next(compare(judged, ("linear MIMO PEM + sparse",)))["methods"]
+    assert rows[0]["status"] == "done", rows[0]
+    assert rows[0]["search"][0]["points"] in (25, 50)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", ["gp", *LEARNERS])
+def test_every_pair_has_its_row(learner):
+    from greybox.estimation.fit import fit
+    from greybox.model.model import PhysicsModel
+
+    judge = bench(adapt=2.0, budget=1, points=12)
+    judge.fit = lambda: fit(PhysicsModel(vehicle()), judge.train, max_iterations=3)
+    *_, last = compare(judge, (), learners=(learner,))
+    for row in last["methods"]:
+        assert row["status"] == "done", row.get("error")
+        assert row["multi_step"] is not None
+        assert np.isfinite(row["mean"]["nlpd"])
 
 
 def test_a_linear_model_does_not_see_the_measurement_that_it_predicts(judged):
@@ -132,6 +176,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     for extra, text in (
         (["--train", log, "--test", log], "both train and test"),
         (["--train", log, "--test", log, "--budget", "0"], "--budget"),
+        (["--train", log, "--test", log, "--learners", "neura"], "neural"),
         (["--train", log, "--test", log, "--adapt", "-1"], "--adapt"),
     ):
         assert main([*common, *extra]) == 2

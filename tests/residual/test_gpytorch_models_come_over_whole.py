@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 gpytorch = pytest.importorskip("gpytorch")
-from greybox.errors import DataError, FileFormatError, ModelError  # noqa: E402
+from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError  # noqa: E402
 from greybox.residual.covariances import COVARIANCES  # noqa: E402
 from greybox.residual.from_gpytorch import from_gpytorch  # noqa: E402
 from greybox.residual.gaussian_process import GaussianProcess  # noqa: E402
@@ -312,6 +312,18 @@ def test_a_noise_that_is_not_positive_is_refused():
     likelihood.noise_covar.raw_noise_constraint = gpytorch.constraints.Interval(-2.0, 1.0)
     likelihood.noise_covar.raw_noise.data.fill_(-1.0)
     assert "noise is not positive" in refusal(model, likelihood)
+
+
+def test_missing_and_broken_training_data_are_refused():
+    model, likelihood = exact()
+    model.train_inputs = None
+    assert "an exact GP is its data" in refusal(model, likelihood, DataError)
+    model, likelihood = exact()
+    model.train_targets[2] = float("nan")
+    assert "training data with NaN" in refusal(model, likelihood, DataError)
+    model, likelihood = exact()
+    model.train_targets = model.train_targets[:5]
+    refusal(model, likelihood, GreyboxError)
 
 
 def test_sizes_that_do_not_fit_are_refused():

@@ -28,10 +28,18 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     model: IdentifiedModel = replace(craft_model(craft()), trained_on=("a",))
     save_model(model, folder / "model.json")
     save_model(craft_model(hybrid()), folder / "hybrid.json")
+    (folder / "nan.py").write_text(NAN)
     (folder / "linear.json").write_text('{"schema": "greybox.linear_model/1"}')
     return folder
 
 
+NAN = """
+class Nan:
+    name = "nan"
+
+    def features(self, x, y, *, points, seed):
+        return {"nothing": lambda s: float("nan") * s}
+"""
 CASES = {
     "no such model": (["nowhere.json", "--train", "a.csv"], "nowhere.json"),
     "a linear model that was cut off": (["linear.json", "--train", "a.csv"], "checksum"),
@@ -41,6 +49,7 @@ CASES = {
     "unknown feature": (["model.json", "--train", "a.csv", "--inputs", "body_velocity.v"], "body_velocity"),
     "place and features": (["model.json", "--train", "a.csv", "--place", "--inputs", "p"], "--place"),
     "place of a linear model": (["linear.json", "--train", "a.csv", "--place"], "linear model"),
+    "a guard of a law": (["linear.json", "--train", "a.csv", "--guard", "--learner", "sparse"], "--guard"),
     "unknown kernel": (["model.json", "--train", "a.csv", "--kernel", "rbf"], "se"),
     "no such learner": (["model.json", "--train", "a.csv", "--learner", "nets"], "random-features"),
     "no such file of a learner": (["model.json", "--train", "a.csv", "--learner", "nets.py:Net"], "nets.py"),
@@ -49,6 +58,10 @@ CASES = {
     "no points": (["model.json", "--train", "a.csv", "--points", "0"], "--points"),
     "points in words": (["model.json", "--train", "a.csv", "--points", "many"], "--points"),
     "no adaptation": (["model.json", "--train", "a.csv", "--adapt", "0"], "--adapt"),
+    "a learner that returns NaN": (
+        ["model.json", "--train", "a.csv", "--learner", "nan.py:Nan", "--inputs", "p"],
+        "learner nan: nothing is not finite on the training flights",
+    ),
     "horizon zero": (["model.json", "--train", "a.csv", "--horizons", "0"], "horizons"),
 }
 

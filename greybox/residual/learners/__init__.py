@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable, Mapping
 
 from greybox.errors import ModelError, UnknownNameError
+from greybox.residual.learners.deep_ensemble import DeepEnsemble
 from greybox.residual.learners.learner import Features, Learner
 from greybox.residual.learners.neural import NeuralLastLayer
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.learners.sparse_law import SparseLaw
 
-__all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_of"]
+__all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_for", "learner_of"]
 
 GP = "gp"
-LEARNERS: dict[str, type[RandomFeatures] | type[NeuralLastLayer] | type[SparseLaw]] = {
-    c.name: c for c in (RandomFeatures, NeuralLastLayer, SparseLaw)
+LEARNERS: Mapping[str, Callable[[], Learner]] = {
+    RandomFeatures.name: RandomFeatures,
+    NeuralLastLayer.name: NeuralLastLayer,
+    DeepEnsemble.name: DeepEnsemble,
+    SparseLaw.name: SparseLaw,
 }
 
 
@@ -47,3 +52,21 @@ def learner_of(name: str) -> Learner | None:
             fix="see docs/own_learner.md",
         )
     return made
+
+
+def learner_for(learner: str | Learner, points: int | str, kernel: str) -> Learner | None:
+    """The learner by name or as it is; None for the Gaussian process, which needs the extra `gp`.
+
+    Raises as `learner_of`, `ModelError` for choices that only a Gaussian process has, `MissingExtraError`.
+    """
+    other = learner_of(learner) if isinstance(learner, str) else learner
+    if other is None:
+        from greybox.residual.train import check_extra
+
+        check_extra()
+        return None
+    if points == "auto":
+        raise ModelError("points are chosen for a Gaussian process only", got=other.name, fix="give a number of points")
+    if kernel != "se":
+        raise ModelError("a kernel is for the Gaussian process", got=f"{kernel} beside {other.name}", fix="one of the two")
+    return other

@@ -30,7 +30,7 @@ class NeuralLastLayer:
         rows = np.random.default_rng(seed).permutation(len(x))[:ROWS]
         units = min(points, 24)
         return {
-            f"network, start {k + 1}": _trained(x[rows], y[rows], units=units, seed=seed + k) for k in range(STARTS)
+            f"network, start {k + 1}": trained(x[rows], y[rows], units=units, seed=seed + k) for k in range(STARTS)
         }
 
 
@@ -43,7 +43,8 @@ def _layers(v: FloatArray, n_in: int, units: int, n_out: int) -> list[FloatArray
     return out
 
 
-def _trained(x: FloatArray, y: FloatArray, *, units: int, seed: int) -> Features:
+def trained(x: FloatArray, y: FloatArray, *, units: int, seed: int) -> Features:
+    """The `units` of the last hidden layer and the inputs, of a network trained on rows x (N, n_in), y (N, n_out)."""
     n, n_in, n_out = len(x), x.shape[1], y.shape[1]
     size = FIRST * n_in + FIRST + units * FIRST + units + n_out * units
     start = np.random.default_rng(seed).standard_normal(size)
