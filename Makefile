@@ -1,4 +1,4 @@
-# make demo   own environment, install, fit the shipped real flights, write a report, print where it is
+# make demo   (greybox demo) own environment, install, fit the shipped real flights, write a report, print where it is
 # make demo-mpc   the same for control: identify a simulated vehicle from one flight, fly it inside limits (about four minutes)
 # make test   own environment, install, lint, type check, all fast tests
 # make test-slow   the long studies (hours are not needed; minutes are)
@@ -47,7 +47,7 @@ $(DEMO_STAMP): pyproject.toml constraints.txt
 install: $(STAMP)
 
 demo: $(STAMP)
-	$(BIN)/python -m scenarios.studies.demo --out $(OUT)
+	$(BIN)/python -m greybox demo --out $(OUT)
 
 demo-mpc: OUT = demo_mpc_out
 demo-mpc: $(DEMO_STAMP)

@@ -45,7 +45,7 @@ def flight_like(n: int, outputs: int, seed: int = 0) -> tuple[Any, Any]:
 
 
 def layout(prefix: str, n: int) -> Any:
-    from greybox import Layout, Signal
+    from greybox.symbolic import Layout, Signal
 
     return Layout([Signal(name=f"{prefix}{i}", unit="-") for i in range(n)])
 

@@ -24,7 +24,7 @@ import gpytorch  # noqa: E402
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 
-import greybox as gb  # noqa: E402
+from greybox.residual.from_gpytorch import from_gpytorch  # noqa: E402
 from mpc_export.c_code import FAST_FLAGS, write_c  # noqa: E402
 
 torch.set_num_threads(1)
@@ -122,7 +122,7 @@ def main() -> None:
     model, likelihood = made(options.points, options.inputs)
     z = np.random.default_rng(1).standard_normal(options.inputs)
     start = time.perf_counter()
-    gp = gb.from_gpytorch(model, likelihood)
+    gp = from_gpytorch(model, likelihood)
     seconds = time.perf_counter() - start
     function = gp.function("both", ("mean", "mean_jacobian"))
     everything = gp.function("all", ("mean", "variance", "mean_jacobian", "variance_jacobian"))

@@ -1,139 +1,77 @@
 """Grey-box identification of small multirotors: physics by the prediction error method, with honest error bars.
 
-README.md has the scripting interface in twelve lines. Everything is loaded on first use: `import greybox` is quick.
+README.md has the scripting interface in twelve lines. The public names stand in `__init__.pyi`, and in
+`__all__` and `dir(greybox)`; everything is loaded on first use, so that `import greybox` is quick.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
-from typing import TYPE_CHECKING, Any
+import pkgutil
+import warnings
+from typing import Any
 
-_PUBLIC = {
-    "read_log": "greybox.data.logs",
-    "read_logs": "greybox.data.logs",
-    "inspect_log": "greybox.data.inspection",
+from greybox.distribution import VERSION
+
+
+def _declared() -> dict[str, str]:
+    """Public name -> the module that holds it, from the imports of the stub."""
+    stub = pkgutil.get_data(__name__, "__init__.pyi") or b""
+    imports = (node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom))
+    return {a.name: str(node.module) for node in imports for a in node.names}
+
+
+_PUBLIC = _declared()
+__version__ = VERSION
+__all__ = sorted(_PUBLIC)
+
+_MOVED = {
     "Dataset": "greybox.data",
+    "Fit": "greybox.estimation.fit",
     "Flight": "greybox.data",
-    "Segment": "greybox.data",
-    "dataset_from_arrays": "greybox.data",
-    "check": "greybox.data.checks",
-    "read_vehicle": "greybox.model.vehicle",
-    "Vehicle": "greybox.model.vehicle",
-    "check_vehicle": "greybox.model.plausibility",
-    "vehicle_findings": "greybox.model.plausibility",
-    "build_model": "greybox.model.model",
-    "load_effects": "greybox.model.effects_file",
-    "PhysicsModel": "greybox.model.model",
-    "StateSpaceModel": "greybox.model.dynamics",
+    "IdentifiedModel": "greybox.model.identified",
+    "Layout": "greybox.symbolic",
     "Parameter": "greybox.model.parameter",
     "ParameterValues": "greybox.model.parameter",
-    "Layout": "greybox.symbolic",
+    "PhysicsModel": "greybox.model.model",
+    "Segment": "greybox.data",
     "Signal": "greybox.symbolic",
-    "IdentifiedModel": "greybox.model.identified",
-    "load": "greybox.commands.front_door",
-    "load_model": "greybox.residual.files",
-    "save_model": "greybox.residual.files",
-    "learn": "greybox.residual.learn",
-    "from_gpytorch": "greybox.residual.from_gpytorch",
-    "discover": "greybox.discovery.workflow",
-    "plan": "greybox.planning.plan",
-    "fit": "greybox.automatic",
-    "Fit": "greybox.estimation.fit",
-    "validate": "greybox.validation.validate",
-    "fit_linear": "greybox.estimation.linear.fit",
-    "profile": "greybox.commands.front_door",
-    "compare": "greybox.commands.front_door",
-    "frf": "greybox.commands.front_door",
-    "export": "greybox.commands.front_door",
-    "identify": "greybox.commands.chain.front_door",
+    "StateSpaceModel": "greybox.model.dynamics",
+    "Vehicle": "greybox.model.vehicle",
+    "check_vehicle": "greybox.model.plausibility",
     "fit_report": "greybox.report.fit_report",
-    "twin": "greybox.simulators.make",
-    "GreyboxError": "greybox.errors",
-    "examples": "greybox.examples",
+    "from_gpytorch": "greybox.residual.from_gpytorch",
+    "inspect_log": "greybox.data.inspection",
+    "load_effects": "greybox.model.effects_file",
+    "load_model": "greybox.residual.files",
+    "read_log": "greybox.data.logs",
+    "save_model": "greybox.residual.files",
+    "vehicle_findings": "greybox.model.plausibility",
 }
-
-__all__ = [
-    "Dataset",
-    "Fit",
-    "Flight",
-    "GreyboxError",
-    "IdentifiedModel",
-    "Layout",
-    "Parameter",
-    "ParameterValues",
-    "PhysicsModel",
-    "Segment",
-    "Signal",
-    "StateSpaceModel",
-    "Vehicle",
-    "build_model",
-    "check",
-    "check_vehicle",
-    "compare",
-    "dataset_from_arrays",
-    "discover",
-    "examples",
-    "export",
-    "fit",
-    "fit_linear",
-    "fit_report",
-    "frf",
-    "from_gpytorch",
-    "identify",
-    "inspect_log",
-    "learn",
-    "load",
-    "load_effects",
-    "load_model",
-    "plan",
-    "profile",
-    "read_log",
-    "read_logs",
-    "read_vehicle",
-    "save_model",
-    "twin",
-    "validate",
-    "vehicle_findings",
-]
-
-if TYPE_CHECKING:
-    from greybox import examples
-    from greybox.automatic import fit
-    from greybox.commands.chain.front_door import identify
-    from greybox.commands.front_door import compare, export, frf, load, profile
-    from greybox.data import Dataset, Flight, Segment, dataset_from_arrays
-    from greybox.data.checks import check
-    from greybox.data.inspection import inspect_log
-    from greybox.data.logs import read_log, read_logs
-    from greybox.discovery.workflow import discover
-    from greybox.errors import GreyboxError
-    from greybox.estimation.fit import Fit
-    from greybox.estimation.linear.fit import fit_linear
-    from greybox.model.dynamics import StateSpaceModel
-    from greybox.model.effects_file import load_effects
-    from greybox.model.identified import IdentifiedModel
-    from greybox.model.model import PhysicsModel, build_model
-    from greybox.model.parameter import Parameter, ParameterValues
-    from greybox.model.plausibility import check_vehicle, vehicle_findings
-    from greybox.model.vehicle import Vehicle, read_vehicle
-    from greybox.planning.plan import plan
-    from greybox.report.fit_report import fit_report
-    from greybox.residual.files import load_model, save_model
-    from greybox.residual.from_gpytorch import from_gpytorch
-    from greybox.residual.learn import learn
-    from greybox.simulators.make import twin
-    from greybox.symbolic import Layout, Signal
-    from greybox.validation.validate import validate
+"""Names that were public before 0.1.0; they go with 0.2.0."""
 
 
 def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
-        module = importlib.import_module(_PUBLIC[name])
-        value = module if module.__name__ == f"greybox.{name}" else getattr(module, name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'greybox' has no attribute '{name}'")
+        module = _PUBLIC[name]
+        if module == __name__:
+            value: Any = importlib.import_module(f"{__name__}.{name}")
+        else:
+            value = getattr(importlib.import_module(module), name)
+    elif name in _MOVED:
+        module = _MOVED[name]
+        warnings.warn(
+            f"greybox.{name} goes with 0.2.0; use: from {module} import {name}",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        value = getattr(importlib.import_module(module), name)
+    else:
+        raise AttributeError(f"module 'greybox' has no attribute '{name}'")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *_PUBLIC]
+    return [*__all__, "__version__"]

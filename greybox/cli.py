@@ -16,7 +16,8 @@ from typing import Any
 
 COMMANDS = (
     "identify", "vehicle", "plan", "inspect", "check", "fit", "validate", "profile", "linear", "frf", "learn",
-    "discover", "compare", "export", "twin", "mpc", "effects", "examples", "cite", "completion",
+    "discover", "compare", "export", "twin", "mpc", "effects", "examples", "demo", "selftest", "cite",
+    "completion",
 )  # fmt: skip
 
 

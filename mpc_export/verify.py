@@ -14,6 +14,7 @@ import argparse
 import csv
 import ctypes
 import hashlib
+import importlib.util
 import json
 import os
 import re
@@ -157,14 +158,16 @@ def check_scales(folder: Path, manifest: Mapping[str, Any]) -> None:
 # ---------------------------------------------------------------------------------------------------- C
 
 
-def find_compiler(asked: str | None) -> str:
-    """The one asked for, or else $CC, cc, gcc or clang. Raises `VerifyError`."""
+def find_compiler(asked: str | None) -> list[str]:
+    """The one asked for, or else $CC, cc, gcc or clang, or that of the wheel `ziglang`. Raises `VerifyError`."""
     if asked and not shutil.which(asked):
         raise VerifyError(f"no compiler {asked}")
     for name in (asked, os.environ.get("CC"), "cc", "gcc", "clang"):
         if name and (found := shutil.which(name)):
-            return found
-    raise VerifyError("no C compiler: install gcc or clang, or pass --no-c")
+            return [found]
+    if importlib.util.find_spec("ziglang") is not None:
+        return [sys.executable, "-P", "-m", "ziglang", "cc", "-fno-sanitize=undefined"]
+    raise VerifyError("no C compiler: install gcc or clang, or pip install ziglang, or pass --no-c")
 
 
 def run(command: Sequence[str]) -> str:
@@ -181,18 +184,18 @@ def run(command: Sequence[str]) -> str:
     return done.stdout
 
 
-def build(folder: Path, manifest: Mapping[str, Any], compiler: str, work: Path) -> Path:
+def build(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str], work: Path) -> Path:
     """Strictly compiled shared library in `work`, after the self-test has passed. Raises `VerifyError`."""
     name, source = manifest["name"], folder / "c"
     objects = []
     for stem, extra in ((name, ["-Wno-unused-parameter"]), (f"{name}_model", []), (f"{name}_selftest", [])):
         objects.append(str(work / f"{stem}.o"))
-        run([compiler, *STRICT, *extra, "-O1", "-fPIC", "-c", str(source / f"{stem}.c"), "-o", objects[-1]])
+        run([*compiler, *STRICT, *extra, "-O1", "-fPIC", "-c", str(source / f"{stem}.c"), "-o", objects[-1]])
     program = work / "selftest"
-    run([compiler, *objects, "-o", str(program), "-lm"])
+    run([*compiler, *objects, "-o", str(program), "-lm"])
     say(f"  {run([str(program)]).strip()}")
     library = work / "model.so"
-    run([compiler, "-shared", *objects[:2], "-o", str(library), "-lm"])
+    run([*compiler, "-shared", *objects[:2], "-o", str(library), "-lm"])
     return library
 
 
@@ -225,7 +228,7 @@ class CLibrary:
         return [list(r)[:n] for r, n in zip(results, lengths, strict=True)]
 
 
-def verify_c(folder: Path, manifest: Mapping[str, Any], compiler: str) -> dict[str, float]:
+def verify_c(folder: Path, manifest: Mapping[str, Any], compiler: Sequence[str]) -> dict[str, float]:
     """Function -> largest difference between C and golden vectors."""
     with tempfile.TemporaryDirectory(prefix="verify-") as work:
         library = CLibrary(build(folder, manifest, compiler, Path(work)), manifest)
@@ -325,7 +328,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = "Does a bundle still compute what it was exported from?"
     parser = argparse.ArgumentParser(prog="python -m mpc_export.verify", description=asked)
     parser.add_argument("folder", metavar="DIR", type=Path, help="bundle that `greybox export` wrote")
-    parser.add_argument("--cc", metavar="COMPILER", help="C compiler (default: $CC, cc, gcc or clang)")
+    parser.add_argument("--cc", metavar="COMPILER", help="C compiler (default: $CC, cc, gcc, clang, the wheel ziglang)")
     parser.add_argument("--no-c", action="store_true", help="check the rebuild only, without a C compiler")
     arguments = parser.parse_args(argv)
     try:

@@ -19,7 +19,7 @@ from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.plots import bars
 from greybox.residual.laws.effect_file import file_name, proposal_text
 from greybox.shown import Cell, Shown
-from greybox.validation.gap import GapRow
+from greybox.validation.gap import GapRow, closed_in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -286,10 +286,10 @@ def _closing(rows: Sequence[GapRow]) -> list[str]:
     for r in rows:
         if r.closed is None or r.horizon_s not in (0.1, 0.5):
             continue
-        more = "" if r.with_proposals is None else f", {r.with_proposals:.0%} with the laws"
+        more = "" if r.with_proposals is None else f"; with the laws: {closed_in_words(r.with_proposals)}"
         out.append(
             f"  {r.group} {r.horizon_s:g} s ahead: {r.before:.4g} -> {r.after:.4g} {r.unit} "
-            f"({r.closed:.0%} of the gap closed{more})"
+            f"(of the gap closed: {closed_in_words(r.closed)}{more})"
         )
     return out
 

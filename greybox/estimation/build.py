@@ -2,23 +2,27 @@
 
 The key is the SHA-256 of sources, flags, compiler version and, with -march=native, the processor, so that a cached library
 is never stale; `cache` says where it lives and when it is believed. Without a C compiler (or with GREYBOX_COMPILER=none)
-`compiler()` is None and callers use CasADi's VM, as they do with one that fails: `opened`.
+`compiler()` is None and callers use CasADi's VM, as they do with one that fails: `opened`. The wheel `ziglang` (extra
+`compiler`) brings one where the system has none.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import importlib.util
 import os
 import platform
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from greybox.distribution import install_line
 from greybox.errors import GreyboxError
-from greybox.estimation.cache import cache_dir, find, keep, key_of, say
+from greybox.estimation.cache import cache_dir, cache_root, find, keep, key_of, say
 
 Source = tuple[str, str, Sequence[str]]
 """File name, C text, flags of the compiler."""
@@ -34,48 +38,63 @@ class BuildError(GreyboxError, RuntimeError):
     """The C compiler failed on generated code."""
 
 
+Command = tuple[str, ...]
+"""A program and the arguments that come before those of every call."""
+
+
 @functools.cache
-def compiler() -> str | None:
-    """Path of the C compiler ($GREYBOX_COMPILER, $CC, cc, gcc or clang), or None."""
+def compiler() -> Command | None:
+    """How the C compiler is called: $GREYBOX_COMPILER, $CC, cc, gcc or clang, that of the wheel `ziglang`,
+    or None."""
     chosen = os.environ.get("GREYBOX_COMPILER")
     if chosen == "none":
         return None
     for name in (chosen, os.environ.get("CC"), "cc", "gcc", "clang"):
         found = shutil.which(name) if name else None
         if found:
-            return found
-    return None
+            return (found,)
+    return from_wheel()
+
+
+def from_wheel() -> Command | None:
+    """The C compiler in the wheel `ziglang`, where that is installed. It would add traps for undefined
+    behaviour to what is not optimised, which need a library of their own."""
+    if not sys.executable or importlib.util.find_spec("ziglang") is None:
+        return None
+    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(cache_root() / "zig"))
+    return (sys.executable, "-P", "-m", "ziglang", "cc", "-fno-sanitize=undefined")
 
 
 @functools.cache
-def _version(path: str) -> str:
-    done = subprocess.run([path, "--version"], capture_output=True, check=False)
-    return done.stdout.decode(errors="replace").splitlines()[0] if done.stdout else path
+def version(cc: Command) -> str:
+    """The first line of what a compiler says of itself."""
+    done = subprocess.run([*cc, "--version"], capture_output=True, check=False)
+    return done.stdout.decode(errors="replace").splitlines()[0] if done.stdout else " ".join(cc)
 
 
 @functools.cache
-def _processor(cc: str) -> str:
+def _processor(cc: Command) -> str:
     """What -march=native stands for here: the processor's instructions, as the compiler's macros. A
     cache may travel with a home or an image to a machine that lacks some."""
     done = subprocess.run(
-        [cc, "-march=native", "-dM", "-E", "-x", "c", os.devnull],
+        [*cc, "-march=native", "-dM", "-E", "-x", "c", os.devnull],
         capture_output=True,
         check=False,
     )
     return done.stdout.decode(errors="replace") if done.returncode == 0 else f"{platform.machine()} {platform.processor()}"
 
 
-def _compiled_for(cc: str, flags: Iterable[str]) -> str:
+def _compiled_for(cc: Command, flags: Iterable[str]) -> str:
     """What the result depends on besides sources and flags."""
-    return _version(cc) + (_processor(cc) if "-march=native" in flags else "")
+    return version(cc) + (_processor(cc) if "-march=native" in flags else "")
 
 
-def _object(cc: str, name: str, text: str, flags: Sequence[str]) -> str:
+def _object(cc: Command, name: str, text: str, flags: Sequence[str]) -> str:
     """Key of the object file of one source."""
     return key_of(_compiled_for(cc, flags), name, " ".join(flags), text)
 
 
-def _library(cc: str, sources: Sequence[Source], link: Sequence[str]) -> str:
+def _library(cc: Command, sources: Sequence[Source], link: Sequence[str]) -> str:
     """Key of the library of these sources."""
     every = {flag for _, _, flags in sources for flag in flags}
     parts = [part for name, text, flags in sources for part in (name, " ".join(flags), text)]
@@ -100,7 +119,7 @@ def build(
     """
     cc = compiler()
     if cc is None:
-        raise BuildError("no C compiler", fix="install gcc or clang; without one greybox runs in CasADi's VM")
+        raise BuildError("no C compiler", fix=f"{install_line('compiler')}, or install gcc or clang")
     key = _library(cc, sources, link)
     if (found := find(key, ".so")) is not None:
         return found
@@ -113,18 +132,18 @@ def build(
         with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
             objects = _objects(cc, sources, rewrite or {}, Path(folder))
             library = Path(folder) / "out.so"
-            _run([cc, "-shared", "-o", str(library), *map(str, objects), *link, "-lm"], cc)
+            _run([*cc, "-shared", "-o", str(library), *map(str, objects), *link, "-lm"], cc)
             return keep(key, library, ".so")
     except OSError as error:
         raise BuildError(
             f"cannot compile: {error.strerror or error}",
-            where=str(error.filename or cc),
+            where=str(error.filename or cc[0]),
             fix="free some space, or set GREYBOX_CACHE to another folder",
         ) from None
 
 
 def _objects(
-    cc: str, sources: Sequence[Source], rewrite: Mapping[str, Callable[[str], str]], folder: Path
+    cc: Command, sources: Sequence[Source], rewrite: Mapping[str, Callable[[str], str]], folder: Path
 ) -> list[Path]:
     """Object files of the sources, compiled side by side; those written by hand come from the cache."""
     objects: list[Path] = []
@@ -136,7 +155,7 @@ def _objects(
             continue
         path = folder / name
         path.write_text(rewrite.get(name, str)(text))
-        command = [cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
+        command = [*cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace")
         running.append((process, len(objects), key))
         objects.append(path.with_suffix(".o"))
@@ -149,15 +168,15 @@ def _objects(
     return objects
 
 
-def _run(command: Sequence[str], cc: str) -> None:
+def _run(command: Sequence[str], cc: Command) -> None:
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         raise _failed(cc, done.returncode, done.stderr)
 
 
-def _failed(cc: str, code: int, complaint: str) -> BuildError:
+def _failed(cc: Command, code: int, complaint: str) -> BuildError:
     first = next((line for line in complaint.splitlines() if line.strip()), f"code {code}")
-    return BuildError(f"the C compiler failed: {first.strip()}", where=cc)
+    return BuildError(f"the C compiler failed: {first.strip()}", where=" ".join(cc))
 
 
 def opened(

@@ -65,6 +65,11 @@ def cache_root() -> Path:
     return root
 
 
+def is_kept() -> bool:
+    """Whether `cache_root` is there when this process has ended."""
+    return cache_root() in set(_candidates())
+
+
 def cache_dir() -> Path:
     """Folder of compiled files."""
     path = cache_root() / "build"

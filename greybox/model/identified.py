@@ -263,7 +263,7 @@ class IdentifiedModel(Shown):
         """Rebuild a model from the values of its file."""
         if data.get("kind") == "hybrid":
             raise FileFormatError(
-                "a model with a learned part", where=where, fix="read it with greybox.load_model"
+                "a model with a learned part", where=where, fix="read it with greybox.load"
             )
         if data.get("kind") not in KINDS:
             raise FileFormatError(

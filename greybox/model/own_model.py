@@ -54,7 +54,7 @@ def load_own_model(program: str) -> StateSpaceModel:
         raise ModelError(
             f"{name}() returns a {type(made).__name__}",
             where=path,
-            expected="a greybox.StateSpaceModel",
+            expected="a greybox.model.dynamics.StateSpaceModel",
             fix="see docs/own_model.md",
         )
     return made

@@ -15,6 +15,7 @@ from greybox.report.discover_sections import sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.words import number, rounded
+from greybox.validation.gap import closed_in_words
 
 ANSWERS = {
     "bad_data": "The data have faults that block the search. They would be read as physics, so nothing was searched.",
@@ -86,7 +87,7 @@ def _answer(report: Report, content: Mapping[str, Any]) -> None:
     if best:
         texts.append(
             "share of the gap that closed half a second ahead: "
-            + ", ".join(f"{g.replace('_', ' ')} {_percent(r['closed'])}" for g, r in best.items())
+            + ", ".join(f"{g.replace('_', ' ')} {closed_in_words(r['closed'])}" for g, r in best.items())
         )
     report.bullets(texts)
 
@@ -311,8 +312,8 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
             [
                 r["group"].replace("_", " "), "1 sample" if r["horizon_s"] == 0 else f"{r['horizon_s']:g} s",
                 number(r["before"]), number(r["after"]), number(r["floor"]), r["unit"],
-                None if r["closed"] is None else _percent(r["closed"]), interval,
-                *(None if r.get(k) is None else _percent(r[k]) for k in more),
+                None if r["closed"] is None else closed_in_words(r["closed"]), interval,
+                *(None if r.get(k) is None else closed_in_words(r[k]) for k in more),
             ]
         )  # fmt: skip
     heads = ["group", "ahead", "before", "after", "floor", "unit", "closed", "95 % interval", *more.values()]

@@ -8,9 +8,9 @@ from typing import Any
 
 from greybox.report import figures
 from greybox.report.flight_section import FlightSeries, flight_section
-from greybox.report.html import Cell, Key, Report, Share, Tag
-from greybox.report.validation_sections import first_line, horizon_section, residual_section
-from greybox.report.words import interval, number, rounded, strong_correlations
+from greybox.report.html import Cell, Key, Report, Share, Span, Tag
+from greybox.report.validation_sections import first_line, headline_figure, horizon_section, residual_section
+from greybox.report.words import interval, number, rounded, strong_correlations, whiteness_verdict
 
 _SHOWN = 40
 
@@ -34,21 +34,26 @@ def fit_report(
     )
     report = Report(title or f"Fit of {model['name']}", subtitle)
     first_line(report, fit.get("verdict"))
+    with report.headline():
+        if validation:
+            headline_figure(report, validation)
+            if validation.get("whiteness"):
+                report.paragraph(f"What is missing: {whiteness_verdict(validation['whiteness'])}")
+        _next(report, fit, validation)
     if not status["converged"]:
         report.warning(f"The fit did not converge: {status['advice']}")
     texts = [*fit.get("warnings", []), *fit.get("unidentifiable", []), *(validation or {}).get("warnings", [])]
     for text in dict.fromkeys(texts):
         report.warning(text)
-    _what(report, fit)
-    _parameters(report, fit)
-    _per_flight(report, fit)
     if validation:
         horizon_section(report, validation)
+    _parameters(report, fit)
+    _per_flight(report, fit)
     flight_section(report, flights or {})
     if validation:
         residual_section(report, validation)
     _identifiability(report, fit)
-    _next(report, fit, validation)
+    _what(report, fit)
     _reproduce(report, fit)
     return report.html()
 
@@ -104,6 +109,20 @@ def _prior(parameter: Mapping[str, Any]) -> str:
     return f"{number(prior['value'])} ± {number(sigma, 2)}" if sigma > 0 else f"{number(prior['value'])}, exact"
 
 
+def _span(parameter: Mapping[str, Any], std: float | None) -> Cell:
+    """Estimate and prior on one scale; nothing where either has no spread."""
+    prior = parameter.get("prior") or {}
+    value, middle, sigma = parameter["value"], prior.get("value"), prior.get("sigma")
+    if std is None or middle is None or sigma is None or not sigma > 0:
+        return None
+    if not all(math.isfinite(v) for v in (value, std, middle, sigma)):
+        return None
+    low, high = value - 1.96 * std, value + 1.96 * std
+    away = (value - middle) / sigma
+    text = f"{number(away, 2)} standard deviations of the prior from its middle"
+    return Span(low=low, high=high, prior=(middle - 1.96 * sigma, middle + 1.96 * sigma), text=text)
+
+
 def _notes(parameter: Mapping[str, Any]) -> Cell:
     if parameter.get("at_bound"):
         return Tag(text="at bound")
@@ -120,13 +139,22 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
         value, spread = rounded(p["value"], std)
         influence = p.get("prior_influence")
         share: Cell = None if influence is None else Share(value=float(influence))
-        body.append([name, value, spread, interval(p["value"], std), p.get("unit", ""), _prior(p), share, _notes(p)])
-    heads = ["parameter", "estimate", "std", "95 % interval", "unit", "prior", "decided by prior", ""]
+        t = number(p["value"] / std, 3) if std else None
+        within = interval(p["value"], std)
+        body.append(
+            [name, value, spread, t, within, p.get("unit", ""), _prior(p), _span(p, std), share, _notes(p)]
+        )
+    heads = [
+        "parameter", "estimate", "std", "t", "95 % interval", "unit", "prior", "prior and estimate",
+        "decided by prior", "",
+    ]  # fmt: skip
     report.table(
         heads,
         body,
-        numeric=(1, 2, 3, 6),
-        caption="Decided by prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
+        numeric=(1, 2, 3, 4, 8),
+        caption="t: the estimate over its standard deviation; where zero means that an effect is not there, below 2 the "
+        "flights hardly show it. Bars: grey, what the vehicle file allows (95 %); blue, what the flights leave of it. "
+        "Decided by prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
         "A parameter at its bound has no standard deviation: its interval is one-sided. Of per-flight parameters the "
         "mean over flights is shown.",
     )
@@ -199,7 +227,7 @@ def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:
 
 
 def _next(report: Report, fit: Mapping[str, Any], validation: Mapping[str, Any] | None) -> None:
-    report.section("What to do next")
+    report.heading("What to do next")
     parameters = fit["parameters"]
     bound = [n for n, p in parameters.items() if p.get("at_bound")]
     prior = [n for n, p in parameters.items() if (p.get("prior_influence") or 0.0) >= 0.5 and not p.get("at_bound")]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.frames import numeric
 from greybox.report import figures
 from greybox.report.html import Key, Report
 from greybox.report.svg import INK, SERIES
@@ -16,7 +17,7 @@ from greybox.symbolic import FloatArray
 PANELS = {
     "position": ("x", "y", "z"),
     "velocity": ("vx", "vy", "vz"),
-    "attitude": ("qw", "qx", "qy", "qz", "roll", "pitch", "yaw"),
+    "attitude": ("roll", "pitch", "yaw"),
     "rate": ("p", "q", "r"),
     "specific force": ("ax", "ay", "az"),
 }
@@ -44,6 +45,50 @@ class FlightSeries:
     channels: Mapping[str, ChannelSeries]
     ahead_seconds: float = 0.5
     role: str = ""
+
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+def _with_angles(flight: FlightSeries) -> FlightSeries:
+    """Roll, pitch and yaw [deg] in place of a quaternion; without jumps from 180 to -180 degrees."""
+    if not set(QUATERNION) <= set(flight.channels):
+        return flight
+    parts = [flight.channels[n] for n in QUATERNION]
+    measured = _angles([p.measured for p in parts])
+    for column in measured.T:
+        seen = np.isfinite(column)
+        column[seen] = np.unwrap(column[seen], period=360.0)
+    one_step = _beside(measured, [p.one_step for p in parts])
+    ahead = _beside(measured, [p.ahead for p in parts])
+    angles = {
+        name: ChannelSeries(
+            measured=measured[:, i],
+            unit="deg",
+            one_step=None if one_step is None else one_step[:, i],
+            ahead=None if ahead is None else ahead[:, i],
+        )
+        for i, name in enumerate(PANELS["attitude"])
+    }
+    rest = {n: c for n, c in flight.channels.items() if n not in QUATERNION}
+    return replace(flight, channels={**rest, **angles})
+
+
+def _beside(measured: FloatArray, quaternion: Sequence[FloatArray | None]) -> FloatArray | None:
+    """Angles (N, 3) [deg] of predictions, on the turn on which they are nearest to the measured ones."""
+    parts = [q for q in quaternion if q is not None]
+    if len(parts) < len(QUATERNION):
+        return None
+    apart: FloatArray = _angles(parts) - measured
+    return measured + apart - 360.0 * np.round(apart / 360.0)
+
+
+def _angles(quaternion: Sequence[FloatArray]) -> FloatArray:
+    """(N, 3) roll, pitch, yaw [deg] of the columns of a quaternion; NaN where a part of it is missing."""
+    q = np.column_stack([np.asarray(c, dtype=np.float64) for c in quaternion])
+    angles: FloatArray = np.degrees(numeric("euler", q))
+    angles[~np.isfinite(q).all(axis=1)] = np.nan
+    return angles
 
 
 def _panels(names: Sequence[str]) -> dict[str, list[str]]:
@@ -93,6 +138,7 @@ def flight_section(
     """
     if not flights:
         return
+    flights = {name: _with_angles(flight) for name, flight in flights.items()}
     report.section("Predictions over measured flights")
     order = sorted(flights, key=lambda name: flights[name].role == "train")
     shown, left = order[:max_flights], order[max_flights:]
@@ -107,8 +153,8 @@ def flight_section(
         "is the filter's prediction for the next sample. Select a flight to open it."
     )
     lines = sum(3 * len(flights[name].channels) for name in shown)
-    # About 2 MB of curves in all: each cell of a curve costs some 24 characters.
-    buckets = int(np.clip(2e6 / (24 * max(lines, 1)), 60, 300))
+    # About 1.4 MB of curves in all: each cell of a curve costs some 24 characters.
+    buckets = int(np.clip(1.4e6 / (24 * max(lines, 1)), 60, 300))
     for i, name in enumerate(shown):
         flight = flights[name]
         role = f" ({flight.role})" if flight.role else ""

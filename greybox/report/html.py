@@ -49,7 +49,18 @@ class Key:
     stroke: Stroke = "line"
 
 
-Cell = str | int | float | None | Tag | Share
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """A table cell that shows an estimate with its interval (low, high) over the interval that its
+    prior allowed, on one scale; `text` says it to who cannot see it."""
+
+    low: float
+    high: float
+    prior: tuple[float, float]
+    text: str
+
+
+Cell = str | int | float | None | Tag | Share | Span
 """What a table may hold; None is an empty cell, a float is shown with four significant digits."""
 
 
@@ -61,20 +72,37 @@ def _cell(value: Cell) -> str:
     if isinstance(value, Share):
         width = 100.0 * min(1.0, max(0.0, value.value))
         return f'{100 * value.value:.0f} %<span class="bar"><i style="width: {width:.0f}%"></i></span>'
+    if isinstance(value, Span):
+        return _span(value)
     if isinstance(value, float):
         return escape(f"{value:.4g}".replace("-", "\N{MINUS SIGN}"))
     return escape(str(value))
 
 
+def _span(span: Span) -> str:
+    """Two bars, one over the other; the narrowest that is drawn is two hundredths of the scale."""
+    low, high = min(span.low, span.prior[0]), max(span.high, span.prior[1])
+    width = (high - low) or 1.0
+
+    def bar(kind: str, first: float, last: float) -> str:
+        share = max(100 * (last - first) / width, 2.0)
+        left = min(100 * (first - low) / width, 100 - share)
+        return f'<i class="{kind}" style="left: {left:.1f}%; width: {share:.1f}%"></i>'
+
+    bars = bar("prior", *span.prior) + bar("estimate", span.low, span.high)
+    return f'<span class="span" role="img" aria-label="{escape(span.text)}">{bars}</span>'
+
+
 class Report:
     """Collects the parts of a report in order; `html()` gives the page.
 
-    The first line and then the warnings stand first on it, whenever added.
+    The first line, then the headline and then the warnings stand first on it, whenever added.
     """
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self._title, self._subtitle = title, subtitle
         self._first = ""
+        self._head: list[str] = []
         self._warnings: list[str] = []
         self._sections: list[str] = []
         self._parts: list[str] = []
@@ -85,6 +113,14 @@ class Report:
     def first_line(self, text: str, *, good: bool) -> None:
         """What the page says first: its result in one line, and whether it is as it should be."""
         self._first = f'<p class="{"good" if good else "bad"}"><strong>{escape(text)}</strong></p>'
+
+    @contextlib.contextmanager
+    def headline(self) -> Iterator[None]:
+        """Everything added inside the `with` block stands right after the first line: what a reader
+        sees without scrolling."""
+        parts, self._parts = self._parts, self._head
+        yield
+        self._head, self._parts = self._parts, parts
 
     def warning(self, text: str) -> None:
         """Add a warning to the box at the top of the page."""
@@ -221,7 +257,9 @@ class Report:
             '<meta name="viewport" content="width=device-width, initial-scale=1"/>\n'
             f"<title>{title}</title>\n<style>{self._css}</style>\n</head>\n<body>\n"
             '<a class="skip" href="#main">Skip to the report</a>\n'
-            f'<main id="main">\n<header><h1>{title}</h1>{subtitle}</header>\n{self._first}\n{warnings}\n{contents}\n'
+            f'<main id="main">\n<header><h1>{title}</h1>{subtitle}</header>\n{self._first}\n'
+            + "\n".join(self._head)
+            + f"\n{warnings}\n{contents}\n"
             + "\n".join(self._parts)
             + f"\n</main>{scripts}\n</body>\n</html>\n"
         )

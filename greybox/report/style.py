@@ -58,6 +58,10 @@ table.facts td { overflow-wrap: anywhere; }
 nowrap; color: var(--warn); background: var(--warn-ground); border: 1px solid var(--warn-line); }
 .bar { display: inline-block; width: 3.2rem; height: .55rem; margin-left: .5rem; background: var(--line); }
 .bar i { display: block; height: 100%; background: var(--c1); }
+.span { display: inline-block; position: relative; width: 7rem; height: .8rem; }
+.span i { position: absolute; }
+.span .prior { top: 0; height: .8rem; background: var(--line); }
+.span .estimate { top: .25rem; height: .3rem; background: var(--c1); }
 code, pre { font-family: var(--mono); font-size: .86rem; }
 pre { background: var(--raised); padding: .7rem 1rem; overflow-x: auto; border-radius: 4px; }
 figure { margin: .8rem 0; }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
-from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
+from greybox.report.words import cross_verdict, in_degrees, number, p_value, whiteness_verdict
 from greybox.validation.usefulness import in_words
 
 ROWS = (
@@ -73,6 +73,20 @@ def _curve(validation: Mapping[str, Any], row: str, group: str) -> tuple[list[fl
     return [s for _, s, _ in listed], [m for *_, m in listed]
 
 
+HEADLINE = (("position", "velocity"), ("rotation",), ("rate",))
+"""Of each, the first channel group that was judged stands in the headline."""
+
+
+def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
+    """Error against horizon between ceiling and floor, of where a craft is and how it turns; of other
+    models the first three groups. Nothing where no group was judged."""
+    groups = _groups(validation)
+    chosen = [g for names in HEADLINE if (g := next((n for n in names if n in groups), None))]
+    panels, key = _growth(validation, chosen or groups[:3])
+    if panels:
+        report.figures(panels, key=key)
+
+
 def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
     """Error against horizon for every group, with persistence as ceiling and dead reckoning as floor, and the table."""
     report.section("How far ahead it predicts")
@@ -85,9 +99,35 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
         text += f" Per-flight parameters were adapted on the first {spent} s of each flight and frozen."
     report.paragraph(text)
     skill_in_words(report, validation.get("verdict"))
-    tables = _tables(validation)
-    groups = list(dict.fromkeys(g for h in validation["horizons"] for g in h["groups"]))
-    units = {g: h["groups"][g]["unit"] for h in validation["horizons"] for g in h["groups"]}
+    groups = _groups(validation)
+    panels, key = _growth(validation, groups)
+    if panels:
+        report.figures(
+            panels,
+            caption="Mean of the error's vector norm (rotation: geodesic angle) over all origins that have every step.",
+            key=key,
+        )
+    with report.columns():
+        _horizon_tables(report, validation, groups)
+    report.paragraph("SimErr is the sum of the mean absolute error over the first 50 steps.")
+    _one_step(report, validation)
+
+
+def _groups(validation: Mapping[str, Any]) -> list[str]:
+    """Channel groups that were judged, in order."""
+    return list(dict.fromkeys(g for h in validation["horizons"] for g in h["groups"]))
+
+
+def _units(validation: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
+    """Group -> (unit as it is shown, factor to it)."""
+    return {g: in_degrees(e["unit"]) for h in validation["horizons"] for g, e in h["groups"].items()}
+
+
+def _growth(
+    validation: Mapping[str, Any], groups: Sequence[str]
+) -> tuple[list[tuple[Figure, str]], list[Key]]:
+    """(panels of error against horizon with their alt texts, their key)."""
+    tables, units = _tables(validation), _units(validation)
     rows = [r for r in ROWS if r[0] in tables]
     panels: list[tuple[Figure, str]] = []
     for g in groups:
@@ -100,25 +140,17 @@ def horizon_section(report: Report, validation: Mapping[str, Any]) -> None:
             x, y = drawn[name]
             if y:
                 # A row of which only some horizons are known stands at those, not at the first steps of another.
-                known = dict(zip(np.round(x, 9).tolist(), y, strict=True))
+                shown = [None if v is None else v * units[g][1] for v in y]
+                known = dict(zip(np.round(x, 9).tolist(), shown, strict=True))
                 curves[label] = ([known.get(s) for s in np.round(seconds, 9).tolist()], colour, style)
         title = g.replace("_", " ")
         alt = f"Mean absolute {title} error against the prediction horizon, logarithmic axes, for {', '.join(curves)}"
-        panels.append((figures.error_growth(seconds, curves, unit=units[g], title=title), alt))
-    if panels:
-        report.figures(
-            panels,
-            caption="Mean of the error's vector norm (rotation: geodesic angle) over all origins that have every step.",
-            key=[r[4] for r in rows],
-        )
-    with report.columns():
-        _horizon_tables(report, validation, groups, units)
-    report.paragraph("SimErr is the sum of the mean absolute error over the first 50 steps.")
-    _one_step(report, validation)
+        panels.append((figures.error_growth(seconds, curves, unit=units[g][0], title=title), alt))
+    return panels, [r[4] for r in rows]
 
 
-def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[str], units: Mapping[str, str]) -> None:
-    tables = _tables(validation)
+def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[str]) -> None:
+    tables, units = _tables(validation), _units(validation)
     horizons = [h["h"] for h in validation["horizons"]]
     for g in groups:
         body: list[list[Cell]] = []
@@ -126,11 +158,17 @@ def _horizon_tables(report: Report, validation: Mapping[str, Any], groups: list[
             listed = {h["h"]: h["groups"].get(g) for h in tables[name]["horizons"]}
             if not any(listed.values()):
                 continue
-            cells: list[Cell] = [number(listed[h]["mae"]) if listed.get(h) else None for h in horizons]
+            factor = units[g][1]
+            errors = [listed[h]["mae"] if listed.get(h) else None for h in horizons]
+            cells: list[Cell] = [
+                number(None if e is None else factor * e) if listed.get(h) else None
+                for h, e in zip(horizons, errors, strict=True)
+            ]
             simerr = tables[name]["simerr"].get(g)
-            body.append([label, *cells, number(simerr) if g in tables[name]["simerr"] else None])
+            total = number(None if simerr is None else factor * simerr)
+            body.append([label, *cells, total if g in tables[name]["simerr"] else None])
         seconds_of = {h["h"]: h["seconds"] for h in validation["horizons"]}
-        heads = [f"{g.replace('_', ' ')} [{units[g]}]", *(f"{number(seconds_of[h])} s" for h in horizons), "SimErr"]
+        heads = [f"{g.replace('_', ' ')} [{units[g][0]}]", *(f"{number(seconds_of[h])} s" for h in horizons), "SimErr"]
         report.table(heads, body, numeric=range(1, len(heads)))
 
 

@@ -16,6 +16,11 @@ def _minus(text: str) -> str:
     return _EXPONENT.sub(lambda m: f"e{m.group(1).replace('+', '')}{m.group(2)}", text).replace("-", MINUS)
 
 
+def in_degrees(unit: str) -> tuple[str, float]:
+    """(unit as people read it, factor): angles in degrees, all else as it is."""
+    return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """A number with `digits` significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):

@@ -150,7 +150,7 @@ class OutputHybrid(Shown):
         if data.get("kind") != KIND:
             raise FileFormatError(
                 "not an output hybrid", where=where, expected=KIND, got=repr(data.get("kind")),
-                fix="read it with greybox.load_model",
+                fix="read it with greybox.load",
             )  # fmt: skip
         body = {k: v for k, v in data.items() if k not in ("checksum", "versions")}
         if data.get("checksum") != checksum(body):

@@ -67,6 +67,12 @@ class GapRow:
         }  # fmt: skip
 
 
+def closed_in_words(share: float) -> str:
+    """How much of the gap was closed. All of it, or more, is being at the floor: what lies below the floor is the noise of
+    the sensors that the floor was made with."""
+    return "all of it: at the floor" if share >= 0.995 else f"{100 * share:.0f} %"
+
+
 def outgrown(rows: Iterable[GapRow]) -> list[str]:
     """Groups and horizons in which the proposed laws close clearly less (a tenth of the gap) than the names alone."""
     return [

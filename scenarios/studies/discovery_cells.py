@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 import greybox.plants.effects as hidden
+from greybox.commands.missing_effect import ERRORS, SIGMA
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
@@ -46,8 +47,6 @@ from greybox.plants.quadrotor import Quadrotor
 from greybox.plants.vehicle_file import write_vehicle
 from scenarios.plants.realistic_sensors import REALISTIC, realistic
 
-SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
-ERRORS = {"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1}
 SIGNS: tuple[tuple[int, ...], ...] = ((1, -1, 1), (-1, 1, -1), (1, 1, -1), (-1, -1, 1))
 """Which way inertia, thrust and torque coefficient are off; the seed chooses."""
 OFF = 0.15

@@ -9,17 +9,44 @@ date fails on all but one; argparse and inspect print differently from version t
 from __future__ import annotations
 
 import argparse
+import importlib
 import inspect
 import re
 import sys
 from collections.abc import Iterator
 from typing import Any
 
+from scenarios.studies.docs_glossary import table
+
 HEAD = """# Reference
 
 Commands and public names, each with what it takes, written by `python -m scenarios.studies.docs_reference` from the code.
 How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
 """
+
+MODULES = {
+    "Dataset": "greybox.data",
+    "Fit": "greybox.estimation.fit",
+    "Flight": "greybox.data",
+    "IdentifiedModel": "greybox.model.identified",
+    "Layout": "greybox.symbolic",
+    "Parameter": "greybox.model.parameter",
+    "ParameterValues": "greybox.model.parameter",
+    "PhysicsModel": "greybox.model.model",
+    "Segment": "greybox.data",
+    "Signal": "greybox.symbolic",
+    "StateSpaceModel": "greybox.model.dynamics",
+    "Vehicle": "greybox.model.vehicle",
+    "check_vehicle": "greybox.model.plausibility",
+    "fit_report": "greybox.report.fit_report",
+    "from_gpytorch": "greybox.residual.from_gpytorch",
+    "inspect_log": "greybox.data.inspection",
+    "load_effects": "greybox.model.effects_file",
+    "read_log": "greybox.data.logs",
+    "save_model": "greybox.residual.files",
+    "vehicle_findings": "greybox.model.plausibility",
+}
+"""What else is described: types that public names take and give back, and what a page uses."""
 
 
 def _cell(text: str) -> str:
@@ -129,20 +156,24 @@ def python_interface() -> str:
 
     # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
     public = {name: getattr(greybox, name) for name in greybox.__all__}
+    public |= {name: getattr(importlib.import_module(module), name) for name, module in MODULES.items()}
     kinds = {name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ") for name, t in public.items()}
     titles = {name: f"{kind}{name}" if kind else f"{name}()" for name, kind in kinds.items()}
     lines = [
         "## Python",
         "",
-        "All of it is `greybox.NAME`, imported when first used. Arrays have time first; SI units.",
+        "Where no module is named it is `greybox.NAME`, imported when first used. Arrays have time first; SI units.",
         "",
     ]
     lines += ["| name | what it is |", "|---|---|"]
     for name, thing in public.items():
         anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
-        lines.append(f"| [`{name}`](#{anchor}) | {_summary(thing)} |")
+        module = f" (`{MODULES[name]}`)" if name in MODULES else ""
+        lines.append(f"| [`{name}`](#{anchor}){module} | {_summary(thing)} |")
     for name, thing in public.items():
         call = f"greybox.{name}" if inspect.ismodule(thing) else f"{name}{_signature(thing)}"
+        if name in MODULES:
+            call = f"from {MODULES[name]} import {name}\n{call}"
         lines += ["", f"### {titles[name]}", "", "```text", call, "```", "", _document(thing)]
         inside = members(thing)
         if inside:
@@ -156,7 +187,7 @@ def python_interface() -> str:
 
 def page() -> str:
     """The whole page."""
-    return "\n".join([HEAD, command_line(), python_interface()])
+    return "\n".join([HEAD, command_line(), python_interface(), table()])
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import greybox as gb
 from greybox.automatic.decide import Decided
 from greybox.automatic.fit import fit_decided, prepare
 from greybox.errors import DataError, UnknownNameError
+from greybox.estimation.fit import Fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.recipe import Recipe
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -19,7 +20,7 @@ from tests.automatic.craft import flight, flights, flown, vehicle
 SHORT = {"seconds": 5.0}
 
 
-def falls(result: gb.Fit) -> list[Any]:
+def falls(result: Fit) -> list[Any]:
     return [d for d in result.provenance.decisions if d.about == "fallback"]
 
 

@@ -10,11 +10,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox import Fit, build_model, dataset_from_arrays, fit, read_log
+from greybox import build_model, dataset_from_arrays, fit
 from greybox.data import Dataset
+from greybox.data.logs import read_log
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import engine_for
 from greybox.estimation.filtering import Filter
+from greybox.estimation.fit import Fit
 from greybox.estimation.record import make_record
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints

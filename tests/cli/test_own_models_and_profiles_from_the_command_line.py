@@ -10,16 +10,20 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
+from greybox.model.identified import IdentifiedModel
 from tests.one_run import results_of_one_run
 
 PROGRAM = """
 import greybox as gb
-S = gb.Layout([gb.Signal(name="level", unit="m")])
+from greybox.model.dynamics import StateSpaceModel
+from greybox.model.parameter import Parameter
+from greybox.symbolic import Layout, Signal
+S = Layout([Signal(name="level", unit="m")])
 def build():
-    return gb.StateSpaceModel(
-        name="tank", states=S, outputs=S, inputs=gb.Layout([gb.Signal(name="pump", unit="V")]),
-        parameters=(gb.Parameter(name="gain", unit="m/(V s)", nominal=0.1, lower=0.0, scale=0.1),
-                    gb.Parameter(name="leak", unit="1/s", nominal=0.2, lower=0.0, scale=0.1)),
+    return StateSpaceModel(
+        name="tank", states=S, outputs=S, inputs=Layout([Signal(name="pump", unit="V")]),
+        parameters=(Parameter(name="gain", unit="m/(V s)", nominal=0.1, lower=0.0, scale=0.1),
+                    Parameter(name="leak", unit="1/s", nominal=0.2, lower=0.0, scale=0.1)),
         dynamics=lambda t, x, u, p: [p["gain"] * u[0] - p["leak"] * x[0]], measurement=lambda t, x, u, p: [x[0]],
         sensor_sigma={"level": 0.01},
     )
@@ -51,7 +55,7 @@ def test_the_fit_is_judged_on_the_test_record_and_comes_back_by_load(bench: Path
     assert abs(content["parameters"]["leak"]["value"] - 0.5) < 0.03
     assert (bench / "fit" / "report.html").read_text().count("level") > 3
     model = gb.load(bench / "fit" / "model.json")
-    assert isinstance(model, gb.IdentifiedModel) and model.name == "tank"
+    assert isinstance(model, IdentifiedModel) and model.name == "tank"
 
 
 def test_profiles_give_intervals_with_the_truth_inside(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -91,6 +91,7 @@ COMMAND_TESTS = {
         "frf": "test_frf_measures_flights_and_says_what_it_cannot", "learn": "test_learn_takes_linear_models_too",
         "discover": "test_discover_writes_what_it_finds", "export": "test_export_writes_bundles",
         "twin": "test_twin_writes_simulators_and_refuses", "mpc": "test_mpc_flies_resumes_and_refuses",
+        "demo": "test_the_demo_runs_without_a_checkout", "selftest": "test_selftest_says_what_works_and_what_to_do",
         "completion": "test_the_command_line_is_light_quiet_and_completes",
     }.items()},
     "linear": "tests/estimation/linear/test_linear_command.py",

@@ -11,6 +11,7 @@ import pytest
 import greybox as gb
 from greybox.cores import cores
 from greybox.estimation.criteria.gaussian import Gaussian
+from greybox.estimation.fit import Fit
 from greybox.estimation.multistart import multistart
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
@@ -51,7 +52,7 @@ def test_a_fit_hands_out_what_it_has(initialisation: str) -> None:
             progress=progress,
         )  # fmt: skip
     kept = stop.value.kept
-    assert isinstance(kept, gb.Fit)
+    assert isinstance(kept, Fit)
     assert not kept.converged
     assert "interrupted" in kept.warnings[0]
     assert progress.calls == 3, "it went on"

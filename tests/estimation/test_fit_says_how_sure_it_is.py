@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox import IdentifiedModel, build_model, fit
+from greybox import build_model, fit
 from greybox.errors import FileFormatError, UnknownNameError
 from greybox.estimation.fit import Fit
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code
+from greybox.model.identified import IdentifiedModel
 from tests.simulated import flights, truth, vehicle
 
 EFFECTS = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")

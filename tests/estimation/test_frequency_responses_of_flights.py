@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data import Dataset
 from greybox.estimation.frf_channels import mixers
 from greybox.model.example import example_vehicle
 from greybox.model.linear import LinearModel
@@ -23,9 +24,9 @@ def flights(
     noise: float = 0.02,
     gap: bool = False,
     seconds: float = 60.0,
-) -> gb.Dataset:
+) -> Dataset:
     """Flights whose roll command u drives p, with a hover command and small other motions."""
-    data = gb.Dataset(flights=())
+    data = Dataset(flights=())
     for i in range(count):
         u, y, r = flown(i, feedback, noise=noise, seconds=seconds).T
         columns = {f"u{j + 1}": 0.5 + sign * 0.2 * u for j, sign in enumerate(SIGNS)}

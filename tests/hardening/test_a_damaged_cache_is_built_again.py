@@ -124,7 +124,7 @@ def test_processors_do_not_share_what_is_compiled_for_one(folder, monkeypatch):
     keys = []
     for processor in ("one", "two"):
         monkeypatch.setattr(build_module, "_processor", lambda cc, processor=processor: processor)
-        keys.append((build_module._library("cc", native, ()), build_module._library("cc", SOURCE, ())))
+        keys.append((build_module._library(("cc",), native, ()), build_module._library(("cc",), SOURCE, ())))
     assert keys[0][0] != keys[1][0]
     assert keys[0][1] == keys[1][1]
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimation.fit import noise_of
+from greybox.estimation.fit import Fit, noise_of
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.examples import vehicle_path
 from tests.hardening.log_faults import FAULTS, SET, flight
@@ -31,7 +31,7 @@ HARMLESS = 0.5
 """Standard errors by which a fault that is called survived may move an estimate."""
 
 
-def fitted(content: bytes, noise: Mapping[str, float] | None) -> gb.Fit:
+def fitted(content: bytes, noise: Mapping[str, float] | None) -> Fit:
     """A fit of the flight in this file at 50 Hz; noise levels are estimated where none are given."""
     vehicle = gb.read_vehicle(vehicle_path(SET))
     with tempfile.TemporaryDirectory() as folder:
@@ -47,13 +47,13 @@ def fitted(content: bytes, noise: Mapping[str, float] | None) -> gb.Fit:
 
 
 @functools.cache
-def sound() -> tuple[gb.Fit, Mapping[str, float]]:
+def sound() -> tuple[Fit, Mapping[str, float]]:
     """The fit to the sound log, and the noise levels that it was held at."""
     noise = noise_of(fitted(flight().csv(), None).model)
     return fitted(flight().csv(), noise), noise
 
 
-def shift(found: gb.Fit) -> tuple[float, str]:
+def shift(found: Fit) -> tuple[float, str]:
     """(largest shift in standard errors of the sound fit, of which parameter)."""
     worst = (0.0, "")
     for name, good in sound()[0].parameters.items():

@@ -14,11 +14,14 @@ import pytest
 
 import greybox as gb
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
+from greybox.estimation.fit import Fit
 from greybox.files import checksum
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.expressions import read_function, write_function
 from greybox.model.own_model import load_own_model, own_from_dict, own_to_dict, same_model
+from greybox.model.parameter import Parameter
 from greybox.residual.discrepancy import disturbed_model
+from greybox.residual.files import load_model, save_model
 from tests import motor
 
 
@@ -36,13 +39,13 @@ def test_every_kind_of_operation_comes_back_bit_by_bit() -> None:
 
 
 @pytest.fixture(scope="module")
-def fitted() -> gb.Fit:
+def fitted() -> Fit:
     return gb.fit(motor.model(), motor.record())
 
 
-def test_a_fitted_model_comes_back_whole(fitted: gb.Fit, tmp_path: Path) -> None:
+def test_a_fitted_model_comes_back_whole(fitted: Fit, tmp_path: Path) -> None:
     fitted.save(str(tmp_path))
-    back = gb.load_model(tmp_path / "model.json")
+    back = load_model(tmp_path / "model.json")
     assert back.to_dict() == fitted.model.to_dict()
     assert isinstance(back.core, StateSpaceModel)
     assert same_model(back.core, motor.model())
@@ -50,23 +53,23 @@ def test_a_fitted_model_comes_back_whole(fitted: gb.Fit, tmp_path: Path) -> None
     assert seen.table_text() == again.table_text()
 
 
-def test_disturbance_states_stay_with_it(fitted: gb.Fit, tmp_path: Path) -> None:
+def test_disturbance_states_stay_with_it(fitted: Fit, tmp_path: Path) -> None:
     model = disturbed_model(fitted.model, motor.record())
     assert model.dynamics.states.names == ("current", "speed", "disturbance.speed")
-    gb.save_model(model, tmp_path / "model.json")
-    assert gb.load_model(tmp_path / "model.json").to_dict() == model.to_dict()
+    save_model(model, tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").to_dict() == model.to_dict()
 
 
-def test_an_edited_file_is_refused(fitted: gb.Fit, tmp_path: Path) -> None:
+def test_an_edited_file_is_refused(fitted: Fit, tmp_path: Path) -> None:
     body = fitted.model.to_dict()
     body["own"]["dynamics"]["operations"][0][0] = "SYSTEM"
     (tmp_path / "a.json").write_text(json.dumps(body))
     with pytest.raises(FileFormatError, match="checksum"):
-        gb.load_model(tmp_path / "a.json")
+        load_model(tmp_path / "a.json")
     body["checksum"] = checksum({k: v for k, v in body.items() if k not in ("checksum", "versions")})
     (tmp_path / "a.json").write_text(json.dumps(body))
     with pytest.raises(FileFormatError, match="expression"):
-        gb.load_model(tmp_path / "a.json")
+        load_model(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("damage", ["parameters", "dynamics", "noise_states"])
@@ -81,9 +84,9 @@ def test_a_file_that_does_not_fit_itself_is_refused(damage: str) -> None:
 
 def test_a_parameter_that_nothing_depends_on_is_named() -> None:
     model = motor.model()
-    idle = gb.Parameter(name="spare", unit="-", nominal=1.0)
+    idle = Parameter(name="spare", unit="-", nominal=1.0)
     with pytest.raises(ModelError, match="nothing depends on the parameter spare"):
-        gb.StateSpaceModel(**{**vars(model), "parameters": (*model.parameters, idle)})
+        StateSpaceModel(**{**vars(model), "parameters": (*model.parameters, idle)})
 
 
 PROGRAMS = {

@@ -63,6 +63,9 @@ def commands() -> None:
     run("effects", "--json", "-")
     run("cite", "fitted/model.json")
     run("completion", "bash")
+    assert "greybox works here" in run("selftest")
+    run("demo", "--out", "demo")
+    assert (Path("demo") / "missing_effect" / "report.html").stat().st_size > 100
     for kind in ("report.html", "fit.json", "validate.json"):
         assert (Path("fitted") / kind).stat().st_size > 100, kind
 

@@ -87,3 +87,17 @@ def test_logs_of_other_systems(name: str, environment: Installed) -> None:
     if missing.returncode == 0 and name != next(iter(LOGS)):
         return  # the extra of the format before it brought the reader of this one
     follow(environment, f"greybox inspect {name}")
+
+
+def test_a_compiler_where_there_is_none(environment: Installed) -> None:
+    """With an empty PATH; what the selftest prints is typed, and models run compiled."""
+    alone = "PATH= ../venv/bin/python -m greybox selftest"
+    before = environment.type(alone)
+    assert before.returncode == 0, before.stdout + before.stderr
+    (hint,) = re.findall(r"no C compiler.*\n *usual fix: (pip install \S+)", before.stdout)
+    assert environment.type(hint).returncode == 0
+    after = environment.type(alone)
+    assert after.returncode == 0, after.stdout + after.stderr
+    assert "(wheel ziglang)" in after.stdout
+    assert re.search(r"^works +fit .*, compiled$", after.stdout, re.M)
+    assert re.search(r"^works +export +the exported C and", after.stdout, re.M)

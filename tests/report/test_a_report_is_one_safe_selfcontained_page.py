@@ -51,14 +51,14 @@ def test_nothing_comes_from_outside_and_nothing_runs(page: str) -> None:
 
 
 def test_it_is_light(page: str) -> None:
-    assert len(page.encode()) < 6_000_000
+    assert len(page.encode()) < 3_000_000
 
 
 def test_many_long_flights_stay_light() -> None:
     flight = next(iter(make_flights(n=20_000).values()))
     many = {f"flight{i}": flight for i in range(9)}
     page = fit_report(make_fit(), many, None)
-    assert len(page.encode()) < 6_000_000
+    assert len(page.encode()) < 3_000_000
     assert "flight8" in page
 
 

@@ -9,9 +9,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 gpytorch = pytest.importorskip("gpytorch")
-import greybox as gb  # noqa: E402 (after the skip)
 from greybox.errors import DataError, FileFormatError, GreyboxError, ModelError  # noqa: E402
 from greybox.residual.covariances import COVARIANCES  # noqa: E402
+from greybox.residual.from_gpytorch import from_gpytorch  # noqa: E402
 from greybox.residual.gaussian_process import GaussianProcess  # noqa: E402
 from tests.residual.gpytorch_cases import (  # noqa: E402
     KERNELS,
@@ -37,7 +37,7 @@ DEGENERATE = [("sgpr", "linear")]
 
 def agrees(model_kind, kernel_name, points=2, dtype=torch.float64, tolerance=None):
     model, likelihood = make(model_kind, kernel_name, dtype=dtype)
-    gp = gb.from_gpytorch(model, likelihood)
+    gp = from_gpytorch(model, likelihood)
     function = gp.function("gp", QUANTITIES)
     limit = tolerance or TOLERANCE.get(kernel_name, 1e-8)
     if (model_kind, kernel_name) in DEGENERATE:
@@ -91,7 +91,7 @@ def test_the_covariances_here_are_all_that_there_are_cases_for():
 
 def test_a_file_gives_the_same_numbers_and_damage_is_named(tmp_path):
     model, likelihood = make("lcm", "tree")
-    gp = gb.from_gpytorch(model, likelihood, inputs=["a", "b", "c"], outputs=["f", "g", "h"])
+    gp = from_gpytorch(model, likelihood, inputs=["a", "b", "c"], outputs=["f", "g", "h"])
     again = GaussianProcess.load(gp.save(tmp_path / "gp.json"))
     z = np.random.default_rng(2).standard_normal((5, N_IN))
     assert all(
@@ -107,8 +107,8 @@ def test_a_file_gives_the_same_numbers_and_damage_is_named(tmp_path):
 def test_standardised_training_data_are_undone():
     model, likelihood = make("batch", "rbf-ard")
     mean, scale = np.array([1.0, -2.0, 3.0]), np.array([2.0, 0.5, 4.0])
-    gp = gb.from_gpytorch(model, likelihood)
-    outer = gb.from_gpytorch(
+    gp = from_gpytorch(model, likelihood)
+    outer = from_gpytorch(
         model, likelihood, input_transform=(mean, scale), output_transform=(2 * mean, scale)
     )
     z = np.array([[0.3, -0.2, 0.7]])
@@ -123,7 +123,7 @@ def test_standardised_training_data_are_undone():
 
 def test_noise_of_a_new_sample_is_the_likelihoods():
     model, likelihood = make("icm", "rbf")
-    gp = gb.from_gpytorch(model, likelihood)
+    gp = from_gpytorch(model, likelihood)
     z = np.array([[0.1, 0.2, 0.3]])
     with exactly(), torch.no_grad():
         want = likelihood(model(torch.tensor(z))).variance.numpy()
@@ -134,7 +134,7 @@ def test_the_users_model_stays_as_it_was():
     model, likelihood = make("exact", "rbf", dtype=torch.float32)
     model.train()
     before = {n: p.clone() for n, p in model.state_dict().items()}
-    gb.from_gpytorch(model, likelihood)
+    from_gpytorch(model, likelihood)
     assert model.training
     assert next(model.parameters()).dtype == torch.float32
     assert all(torch.equal(p, before[n]) for n, p in model.state_dict().items())
@@ -175,9 +175,9 @@ def test_a_saved_state_dict_in_l4acados_form_comes_over(tmp_path):
     ).double()
     loaded.load_state_dict(torch.load(tmp_path / "model.pth", weights_only=True))
     with pytest.raises(DataError, match="no training data"):
-        gb.from_gpytorch(loaded)
+        from_gpytorch(loaded)
     loaded.set_train_data(x, y, strict=False)
-    gp = gb.from_gpytorch(loaded)
+    gp = from_gpytorch(loaded)
     z = rng.standard_normal((3, 5))
     trained.eval()
     with exactly(), torch.no_grad():
@@ -219,7 +219,7 @@ def test_a_model_with_botorchs_structure_comes_over():
         .eval()
     )
     model.input_transform, model.outcome_transform = AffineInputTransform(), Standardize()
-    gp = gb.from_gpytorch(model)
+    gp = from_gpytorch(model)
     z = rng.standard_normal((3, 2))
     moved = (torch.tensor(z) - Affine.offset) / Affine.coefficient
     with exactly(), torch.no_grad():
@@ -232,7 +232,7 @@ def test_a_model_with_botorchs_structure_comes_over():
         model.input_transform = AffineInputTransform()
         setattr(model.input_transform, name, value)
         with pytest.raises(ModelError, match=name):
-            gb.from_gpytorch(model)
+            from_gpytorch(model)
 
 
 def test_botorchs_single_task_gp_comes_over():
@@ -248,7 +248,7 @@ def test_botorchs_single_task_gp_comes_over():
         *(SingleTaskGP(x, y[:, j : j + 1], input_transform=Normalize(d=3)) for j in range(2))
     )
     for model in (both, each):
-        gp = gb.from_gpytorch(model)
+        gp = from_gpytorch(model)
         with exactly(), torch.no_grad():
             want = model.posterior(torch.tensor(z))
         mean, variance = gp.evaluate(z)
@@ -261,7 +261,7 @@ def test_botorchs_single_task_gp_comes_over():
 
 def refusal(model, likelihood, error=ModelError, **options):
     with pytest.raises(error) as caught:
-        gb.from_gpytorch(model, likelihood, **options)
+        from_gpytorch(model, likelihood, **options)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -333,7 +333,7 @@ def test_sizes_that_do_not_fit_are_refused():
         model, likelihood, input_transform=(np.zeros(2), np.ones(2))
     )
     with pytest.raises(ModelError, match="wrong length"):
-        gb.from_gpytorch(model, likelihood).mean(np.zeros(4))
+        from_gpytorch(model, likelihood).mean(np.zeros(4))
 
 
 def test_something_else_than_a_model_is_refused():

@@ -131,7 +131,7 @@ def test_loading_and_predicting_need_no_torch(file: Path) -> None:
 import sys
 import casadi as ca
 import greybox
-model = greybox.load_model({str(file)!r})
+model = greybox.load({str(file)!r})
 d = model.dynamics
 x, u = ca.SX.sym("x", len(d.states)), ca.SX.sym("u", len(d.inputs), sum(d.window) + 1)
 p = ca.DM(model.parameter_vector())

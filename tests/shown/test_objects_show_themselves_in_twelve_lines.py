@@ -15,14 +15,18 @@ import pytest
 
 import greybox as gb
 from greybox.commands.chain.front_door import Identified
+from greybox.data import Dataset
+from greybox.data.inspection import inspect_log
 from greybox.discovery.certificate import Certificate
 from greybox.discovery.name import LOG10, Name
 from greybox.discovery.result import Discovery
 from greybox.discovery.worth import Worth
 from greybox.errors import GreyboxError, MissingExtraError
+from greybox.estimation.fit import Fit
 from greybox.estimation.linear.fit import LinearFit, Record
 from greybox.estimation.profile import Profile
 from greybox.model.identified import IdentifiedModel
+from greybox.model.plausibility import check_vehicle
 from greybox.plots import Curve, panels
 from greybox.shown import LINES, Row, Shown, columns_of, html_table, shortened
 from scenarios.plants.linear_systems import random_system, simulate
@@ -35,12 +39,12 @@ matplotlib.use("Agg")
 
 
 @functools.cache
-def flight() -> gb.Dataset:
+def flight() -> Dataset:
     return simulated.flights(1, 4.0)
 
 
 @functools.cache
-def fitted() -> gb.Fit:
+def fitted() -> Fit:
     model = gb.build_model(simulated.vehicle(), flight().channels, ("motor_lag",))
     return gb.fit(model, flight(), use_compiler=False)
 
@@ -84,7 +88,7 @@ def validation() -> typing.Any:
 
 def inspection() -> Shown:
     log = gb.examples.flight_path("nanobench", "B2_circle_slow_rep1")
-    return gb.inspect_log(log, gb.read_vehicle(gb.examples.vehicle_path("nanobench")))
+    return inspect_log(log, gb.read_vehicle(gb.examples.vehicle_path("nanobench")))
 
 
 def identified() -> Identified:
@@ -96,7 +100,7 @@ def identified() -> Identified:
 
 SHOWN: dict[str, typing.Callable[[], typing.Any]] = {
     "vehicle": simulated.vehicle,
-    "vehicle check": lambda: gb.check_vehicle(simulated.vehicle()),
+    "vehicle check": lambda: check_vehicle(simulated.vehicle()),
     "dataset": flight,
     "flight": lambda: flight().flights[0],
     "segment": lambda: flight().segments[0],

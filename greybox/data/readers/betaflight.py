@@ -223,6 +223,7 @@ FORMAT = LogFormat(
     endings=(".bfl", ".bbl"),
     recognise=lambda path, head: head.startswith(_MAGIC),
     recording=read_betaflight,
+    libraries=("orangebox",),
     advice={
         "": "set blackbox_sample_rate = 1/2 or 1/4 (1 kHz or more); blackbox_device = SDCARD or SPIFLASH",
         "command": "set blackbox_disable_motors = OFF; motor[i] is after the mixer (leave vbat_sag_compensation as flown)",

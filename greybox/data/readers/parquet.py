@@ -74,5 +74,6 @@ FORMAT = LogFormat(
     endings=(".parquet", ".pq"),
     recognise=lambda path, head: head.startswith(_MAGIC),
     table=read_parquet,
+    libraries=("pyarrow",),
     advice={"": "columns have the names, units and frames of docs/files.md, or a mapping file says which they are"},
 )

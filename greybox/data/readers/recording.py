@@ -128,8 +128,9 @@ class LogFormat:
     """One log format: how its files are recognised, what reads them, and how to log more.
 
     `endings` are lower-case file name endings, `recognise` judges the first bytes (or a folder). A format is a table
-    with a time column (`table`) or many streams (`recording`). `extra` is the optional dependency group. `advice` maps
-    a channel group to the settings that make the logger record it; the key "" is about the log as a whole.
+    with a time column (`table`) or many streams (`recording`). `libraries` are those that reading takes beyond what
+    greybox always has. `advice` maps a channel group to the settings that make the logger record it; the key "" is about
+    the log as a whole.
     """
 
     name: str
@@ -138,6 +139,7 @@ class LogFormat:
     recognise: Callable[[Path, bytes], bool] = lambda path, head: False
     table: Callable[..., Any] | None = None
     recording: Callable[[Path], Recording] | None = None
+    libraries: tuple[str, ...] = ()
     advice: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -263,6 +263,7 @@ FORMAT = LogFormat(
     endings=(".bag", ".mcap", ".db3"),
     recognise=_recognise,
     recording=read_ros,
+    libraries=("rosbags", "mcap"),
     advice={
         "": "record with header stamps of the sensors (not of the reception) and one clock "
         "(chrony or PTP between machines); a mapping file says which topics are which channels",

@@ -168,6 +168,7 @@ FORMAT = LogFormat(
     endings=(".ulg", ".ulog"),
     recognise=lambda path, head: head.startswith(_MAGIC),
     recording=read_ulog,
+    libraries=("pyulog",),
     advice={
         "": "SDLOG_PROFILE = 25 (bit 0 default, bit 3 system identification, bit 4 high rate) logs gyro, accelerometer, "
         "attitude and motor commands at full rate; SDLOG_MODE = 0 logs from arming to disarming; a fast SD card avoids "

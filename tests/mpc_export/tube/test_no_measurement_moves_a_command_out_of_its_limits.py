@@ -28,6 +28,10 @@ SANITIZED = ("-std=c99", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-r
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
+def cc() -> tuple[str, ...]:
+    return compiler() or ()
+
+
 def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) -> list[str]:
     """Command line of fuzz.c behind controller.c, with the stage functions of the compiled solver or,
     for sanitizers, compiled with it."""
@@ -36,16 +40,16 @@ def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) ->
     fuzz = folder / "fuzz.c"
     fuzz.write_text(texts["controller.c"] + (HERE / "fuzz.c").read_text())
     include = f"-isystem{hpipm()[0]}"
-    made = [compiler(), *flags, *STRICT, include, "-c", str(fuzz), "-o", str(folder / "fuzz.o")]
+    made = [*cc(), *flags, *STRICT, include, "-c", str(fuzz), "-o", str(folder / "fuzz.o")]
     subprocess.run(made, check=True)
     model = str(_compiled(texts))
     if own_model:
         (folder / "model.c").write_text(texts["tube_model.c"])
         model = str(folder / "model.o")
-        subprocess.run([compiler(), *flags, "-w", "-c", str(folder / "model.c"), "-o", model], check=True)
+        subprocess.run([*cc(), *flags, "-w", "-c", str(folder / "model.c"), "-o", model], check=True)
     out = str(folder / "fuzz")
     subprocess.run(
-        [compiler(), *flags, str(folder / "fuzz.o"), model, "-o", out, *link_flags(), "-lm"], check=True
+        [*cc(), *flags, str(folder / "fuzz.o"), model, "-o", out, *link_flags(), "-lm"], check=True
     )
     solver.reset()
     solver.data["kappa"][:], solver.data["kappa_u"][()] = 2.0, 1.0

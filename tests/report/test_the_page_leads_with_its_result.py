@@ -1,0 +1,93 @@
+"""A page says its result first and its settings last, in the units and words of people."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from synthetic_fit import make_fit, make_validation
+
+from greybox.frames import numeric
+from greybox.report.fit_report import fit_report
+from greybox.report.flight_section import ChannelSeries, FlightSeries, _with_angles
+from greybox.report.html import Report, Span
+from greybox.validation.gap import closed_in_words
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return fit_report(make_fit(), {}, make_validation())
+
+
+def test_the_result_comes_first_and_the_settings_last(page: str):
+    order = [
+        "NOT JUDGED", "<figure>", "What is missing:", "What to do next</h3>", 'class="warnings"',
+        "How far ahead it predicts</h2>", "Parameters</h2>", "What the data can and cannot tell</h2>",
+        "What was fitted</h2>", "How to reproduce this</h2>",
+    ]  # fmt: skip
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+
+
+def test_rotation_is_in_degrees_by_the_numbers(page: str):
+    fit, validation = make_fit(), make_validation()
+    error = validation["horizons"][2]["groups"]["rotation"]
+    assert error["unit"] == "rad"
+    shown = re.search(r"rotation \[deg\].*?<th scope=\"row\">model</th>(.*?)</tr>", page, re.DOTALL)
+    assert shown is not None
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", shown[1])
+    assert float(cells[2]) == pytest.approx(math.degrees(error["mae"]), rel=1e-3)
+    assert "[rad]" not in page
+    assert fit  # rates stay as they are
+    assert "rate: mean error [rad/s]" in page
+
+
+def test_attitude_is_roll_pitch_yaw_without_jumps():
+    turned = np.radians(np.column_stack([10 + np.zeros(50), -20 + np.zeros(50), np.linspace(150, 400, 50)]))
+    q = numeric("from_euler", turned)
+    ahead = numeric("from_euler", turned + np.radians([1.0, 2.0, 3.0]))
+    q[7] = np.nan
+    channels = {
+        n: ChannelSeries(measured=q[:, i], one_step=None, ahead=ahead[:, i])
+        for i, n in enumerate(("qw", "qx", "qy", "qz"))
+    }
+    shown = _with_angles(FlightSeries(t=np.arange(50) * 0.01, channels=channels)).channels
+    assert list(shown) == ["roll", "pitch", "yaw"]
+    good = np.arange(50) != 7
+    for i, (name, off) in enumerate(zip(shown, (1.0, 2.0, 3.0), strict=True)):
+        assert shown[name].unit == "deg"
+        assert shown[name].one_step is None
+        np.testing.assert_allclose(shown[name].measured[good], np.degrees(turned[good, i]), atol=1e-9)
+        gap = np.asarray(shown[name].ahead)[good] - shown[name].measured[good]
+        np.testing.assert_allclose(gap, off, atol=1e-9)
+        assert np.isnan(shown[name].measured[7])
+
+
+def test_a_log_without_a_whole_quaternion_keeps_its_columns():
+    flight = FlightSeries(t=np.arange(3.0), channels={"qw": ChannelSeries(measured=np.ones(3))})
+    assert _with_angles(flight) is flight
+
+
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [(1.03, "all of it: at the floor"), (0.996, "all of it: at the floor"), (0.99, "99 %"), (-0.1, "-10 %")],
+)
+def test_more_than_all_of_a_gap_is_at_the_floor(share: float, said: str):
+    assert closed_in_words(share) == said
+
+
+def test_a_bar_shows_the_estimate_inside_its_prior():
+    report = Report("t")
+    span = Span(low=-1.0, high=1.0, prior=(-4.0, 4.0), text="0 standard deviations")
+    report.table(["a", "b"], [["x", span]])
+    places = re.findall(r'class="(\w+)" style="left: ([\d.]+)%; width: ([\d.]+)%"', report.html())
+    assert places == [("prior", "0.0", "100.0"), ("estimate", "37.5", "25.0")]
+
+
+def test_every_estimate_with_a_spread_has_a_t(page: str):
+    row = re.search(r'<th scope="row">thrust.c2</th>(.*?)</tr>', page)
+    assert row is not None
+    assert re.findall(r">([^<>]+)</td>", row[1])[2] == "164"
+    assert "standard deviations of the prior from its middle" in row[1]
