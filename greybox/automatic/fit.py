@@ -7,7 +7,7 @@ fails falls back to less, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -199,37 +199,55 @@ def fit_decided(
             step_down(f"without {', '.join(lost)}", "its time constant ran to a bound")
             recipe = replace(recipe, options=without_parts(recipe.options, lost))
             continue
-        told = found.diagnostics.told
-        if found.converged and told and not said.choices.keys() & {"fixed", "free", "considered"}:
-            decisions[:] = [d for d in decisions if d.about not in told]
-            decisions.extend(_set_free(told))
-            options = continued(recipe.options, found)
-            recipe = replace(
-                recipe,
-                options=options.but(
-                    fixed=tuple(n for n in options.fixed if n not in told),
-                    considered=tuple(n for n in options.considered if n not in told),
-                ),
-            )
-            continue
         if not found.converged and less is not None:
             step_down(less[1], found.status.advice)
             recipe = less[0]
             continue
-        return found.with_history(recipe, tuple(decisions))
+        return _with_what_flights_tell(vehicle, prepared.data, found, recipe, decisions, said, say)
 
 
-def _set_free(told: Mapping[str, tuple[float, float]]) -> list[Decision]:
-    """Why parameters that were held for a ratio are estimated after all."""
-    return [
+def _with_what_flights_tell(
+    vehicle: Vehicle, data: Dataset, found: Fit, recipe: Recipe, decisions: Sequence[Decision], said: Given, say: Say
+) -> Fit:
+    """The fit, with the parameters estimated that were held for a ratio and that the flights tell
+    better than they are stated; as it was where nothing is told or such a fit does not end well."""
+    as_it_was = found.with_history(recipe, tuple(decisions))
+    choices = said.choices
+    own = {*choices.get("fixed", ()), *choices.get("considered", ())}
+    told = {n: e for n, e in found.diagnostics.told.items() if n not in own}
+    if not told or not found.converged or "free" in choices:
+        return as_it_was
+    unit = {d.name: d.unit for d in found.model.dynamics.parameters}
+    new = [
         Decision(
             about=name,
             choice="estimated",
-            reason=f"the flights tell more than a ratio: alone to {error:.2g}, stated to {stated:.2g}",
+            reason=f"the flights tell more than a ratio: to {error:.2g} {unit[name]}, stated to {stated:.2g}",
             option="--fixed, --considered",
         )
         for name, (error, stated) in told.items()
     ]
+    for decision in new:
+        say(f"  {decision.about}: {decision.choice} ({decision.reason})")
+    options = continued(recipe.options, found)
+    freed = replace(
+        recipe,
+        options=options.but(
+            fixed=tuple(n for n in options.fixed if n not in told),
+            considered=tuple(n for n in options.considered if n not in told),
+        ),
+    )
+    try:
+        again = fit_recipe(vehicle, data, freed)
+    except FitError:
+        again = None
+    stuck = {n for n, e in found.parameters.items() if _at_bound(e)}
+    if again is None or not again.converged or any(
+        _at_bound(e) and n not in stuck for n, e in again.parameters.items()
+    ):
+        say(f"  {', '.join(told)}: held after all, as that fit does not end at a minimum inside its bounds")
+        return as_it_was
+    return again.with_history(freed, (*(d for d in decisions if d.about not in told), *new))
 
 
 def on_pieces(

@@ -6,7 +6,8 @@ the problem in which it is free (consider covariance: Schmidt 1966, Application 
 methods to navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004,
 Statistical Orbit Determination, ch. 6). To hold a parameter is right where the flights say nothing
 of it, as where only its ratio to another one shows. What they say is the Schur complement
-H_cc - H_cu H_uu^-1 H_uc of the data's Hessian, without any prior.
+H_cc - H_cu H_uu^-1 H_uc of the data's Hessian, without any prior. It is an error where innovations
+are white; who lets a parameter go has to ask that.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
-from greybox.estimation.covariance import scaled_inverse
+from greybox.estimation.covariance import NULL_SHARE, scaled_inverse
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, make_problem
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
 
 Places = npt.NDArray[np.intp]
+ROUNDING = 100 * float(np.finfo(float).eps)
+"""Error of a Hessian's entries, relative: sums over all samples. An inverse multiplies it by the condition number."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,9 +50,7 @@ def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
             raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
 
 
-def considered(
-    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
-) -> Considered:
+def considered(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> Considered:
     """What there is to say of the considered parameters of a fit that ended at `theta` (n,)."""
     if not options.considered:
         return Considered()
@@ -57,15 +58,11 @@ def considered(
     free = None if options.free is None else (*options.free, *options.considered)
     wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
     own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
-    base = dict(
-        zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True)
-    )
+    base = dict(zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True))
     at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
     places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
     mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
-    others = np.array(
-        [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
-    )
+    others = np.array([i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp)
     value = wide.evaluate(at)
     if value.hessian is None or value.gradient is None or value.data_hessian is None:
         return Considered(spread=np.zeros((problem.n, problem.n)))
@@ -75,31 +72,33 @@ def considered(
     inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
     moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
     sigma = np.array([wide.unknowns[i].sigma for i in others])
-    error = _by_flights_alone(value.data_hessian, mine[loose], others, sigma)
+    error = by_flights_alone(value.data_hessian, mine[loose], others, sigma)
     return Considered(
         spread=(moves * sigma**2) @ moves.T,
         told={
             wide.unknowns[i].name: (float(e), float(s))
             for i, e, s in zip(others, error, sigma, strict=True)
-            if e < s
+            if e < s and wide.unknowns[i].flight is None
         },
     )
 
 
-def _by_flights_alone(
-    hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray
-) -> FloatArray:
+def by_flights_alone(hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray) -> FloatArray:
     """Standard error (n_c,) of every held parameter by the data's Hessian, the other held ones
-    known to `sigma` (n_c,); infinite where the flights say nothing."""
-    inverse, _ = scaled_inverse(hessian[np.ix_(unknown, unknown)])
+    known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding."""
+    inner = hessian[np.ix_(unknown, unknown)]
+    inverse, _ = scaled_inverse(inner)
+    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    level = np.linalg.eigvalsh(inner / np.outer(size, size))
+    condition = level[-1] / max(level[0], NULL_SHARE * level[-1])
     cross = hessian[np.ix_(held, unknown)]
     whole = hessian[np.ix_(held, held)]
     shown = whole - cross @ inverse @ cross.T
-    shown = np.where(np.abs(shown) > 1e-9 * np.abs(whole), shown, 0.0)  # rounding of a ratio
+    rounding = ROUNDING * condition * np.diag(whole)
     errors = np.full(held.size, np.inf)
     for i in range(held.size):
         rest = np.delete(np.arange(held.size), i)
-        inner = shown[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
-        alone = shown[i, i] - shown[i, rest] @ np.linalg.solve(inner, shown[rest, i])
-        errors[i] = alone**-0.5 if alone > 0 else np.inf
+        others = shown[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
+        alone = shown[i, i] - shown[i, rest] @ np.linalg.solve(others, shown[rest, i])
+        errors[i] = alone**-0.5 if alone > rounding[i] else np.inf
     return errors

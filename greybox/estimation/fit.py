@@ -240,10 +240,11 @@ def _finish(
         for n, e in estimates.items()
         if e.at_bound
     ]
+    nearer = considered.told if status.converged and not coloured else {}
     warnings += [
         f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of {stated:.2g}: "
-        "leave it out of --fixed"
-        for n, (error, stated) in considered.told.items()
+        "estimate it (leave it out of --fixed and --considered)"
+        for n, (error, stated) in nearer.items()
     ]
     gaps = _gappy(problem)
     if gaps and problem.predictor.name == "innovation":
@@ -298,7 +299,7 @@ def _finish(
             innovations=innovations,
             coloured=coloured,
             covariance=spread,
-            told=considered.told,
+            told=nearer,
             warnings=tuple(warnings),
         ),
         provenance=Provenance(

@@ -92,7 +92,8 @@ class Diagnostics:
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
     whiteness test, in which case `std` of the estimates is the sandwich one. `told`: considered
-    parameters that the flights know better than their stated error (`greybox.estimation.considered`).
+    parameters that flights with white innovations know better than their stated error, and both errors
+    (`greybox.estimation.considered`).
     """
 
     status: Status

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.channel import channel
-from greybox.errors import UnknownNameError
+from greybox.errors import GreyboxError, UnknownNameError
 from greybox.model.identified import library_versions
 from greybox.residual.compare_bench import Bench, Outcome
 from greybox.residual.compare_methods import METHODS, pairs
@@ -54,6 +54,8 @@ def compare(
     more = pairs(learners)
     there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
     chosen = tuple(dict.fromkeys((*(METHODS if methods is None else methods), *more)))
+    if not chosen:
+        raise GreyboxError("nothing to compare", fix=f"--methods {','.join(list(METHODS)[:2])}, or --learners")
     for name in chosen:
         if name not in there:
             raise UnknownNameError("method", name, there)

@@ -66,7 +66,9 @@ def fit_features(
             f"the learner {learner.name} offers nothing from half of the flights",
             fix="more flights, or another --learner",
         )
-    saved = {n: float(1 - np.sum(t.error**2) / np.sum(rows.y**2)) for n, t in trials.items()}
+    # Shares per output: their units differ.
+    level = np.mean(rows.y**2, axis=0)
+    saved = {n: float(1 - np.mean(np.mean(t.error**2, axis=0) / level)) for n, t in trials.items()}
     best = max(saved, key=lambda n: saved[n])
     candidate, trial = found[best], trials[best]
     assert isinstance(candidate, FeaturePosterior)

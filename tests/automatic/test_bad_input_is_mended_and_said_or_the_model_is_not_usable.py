@@ -82,7 +82,7 @@ def holds(found: Fit, stated: Vehicle, *names: str) -> None:
     said = {p for f in sanity_of(found).findings for p in f.parameters}
     said |= {f.where for f in vehicle_findings(stated)}
     known = {n: found.parameters[n] for n in names if n in found.parameters}
-    right = len(known) == len(names) and all(abs(e.value - TRUE[n]) < 3 * e.std for n, e in known.items())
+    right = len(known) == len(names) and all(abs(e.value / TRUE[n] - 1) < 0.15 for n, e in known.items())
     assert said & set(names) or right, (sanity_of(found).lines(), known)
 
 

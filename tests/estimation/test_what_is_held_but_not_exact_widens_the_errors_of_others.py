@@ -7,6 +7,7 @@ import pytest
 
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import ModelError
+from greybox.estimation.considered import by_flights_alone
 from greybox.estimation.fit import fit
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.parameter import Parameter
@@ -86,3 +87,15 @@ def test_one_that_the_record_knows_better_than_the_scale_is_told_to_what_a_free_
     assert found.diagnostics.told["mass"] == (pytest.approx(alone, rel=2e-2), 0.4)
     assert any("mass is held, but these flights tell it" in w for w in found.warnings)
     assert not fit(cart(sigma=0.2 * alone, drag=2.0), record(), **choices).diagnostics.told
+
+
+def test_rounding_of_an_ill_conditioned_ratio_tells_nothing():
+    draw = np.random.default_rng(1)
+    for apart in (3e-5, 1e-4, 3e-4):
+        for _ in range(40):
+            free = draw.normal(size=(4000, 6)) * 1e4
+            free[:, 1] = free[:, 0] + apart * free[:, 1]
+            held = free @ draw.normal(size=6)  # an exact combination: nothing is told of it
+            columns = np.column_stack([free, held])
+            found = by_flights_alone(columns.T @ columns, np.arange(6), np.array([6]), np.array([0.03]))
+            assert found[0] > 0.03

@@ -125,7 +125,7 @@ def test_all_searches_have_the_budget_and_try_every_kind():
     assert len({tuple(d.items()) for d in drawn}) == 4
 
 
-def test_methods_that_the_issue_asks_for_are_there():
+def test_every_promised_method_is_there():
     assert {"linear SISO PEM", "linear MIMO PEM", "nonlinear PEM", "LSTM", "GP alone", "linear PEM + GP",
             "nonlinear PEM + GP"} <= set(METHODS)  # fmt: skip
     with pytest.raises(UnknownNameError, match="linear SISO PEM"):

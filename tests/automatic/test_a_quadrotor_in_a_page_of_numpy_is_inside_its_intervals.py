@@ -4,6 +4,7 @@ hold the truth, and inertia comes out within a few percent."""
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +86,7 @@ def vehicle(path: Path, rng: np.random.Generator) -> None:
     rotors = "".join(f"[[rotor]]\nposition = [{x}, {y}, 0.0]\nspin = {n}\n" for x, y, n in zip(X, Y, SPIN, strict=True))
     path.write_text(
         f"""schema = "greybox.vehicle/2"
-name = "thirty lines"
+name = "a page of numpy"
 gravity = {GRAVITY}
 mass = {MASS}
 inertia = [[{i[0]:.4g}, 0.0, 0.0], [0.0, {i[1]:.4g}, 0.0], [0.0, 0.0, {i[2]:.4g}]]
@@ -109,26 +110,38 @@ TRUTH = {
 }  # fmt: skip
 
 
+def fitted(folder: Path, *words: str) -> dict[str, dict[str, float]]:
+    out = folder / f"out{len(words)}"
+    assert main(["fit", *words, "--out", str(out)]) == 0
+    found: dict[str, dict[str, float]] = json.loads((out / "fit.json").read_text(encoding="utf-8"))["parameters"]
+    return found
+
+
 @pytest.mark.slow
-def test_the_plain_fit_of_three_single_flights_in_gusts_holds_seventeen_of_eighteen(tmp_path: Path) -> None:
-    inside, judged, off = 0, 0, []
+def test_the_plain_fit_of_single_flights_in_gusts_holds_at_least_seventeen_of_eighteen(tmp_path: Path) -> None:
+    inside, moments = 0, []
     for seed in (1, 2, 3):
         folder = tmp_path / str(seed)
         folder.mkdir()
         flight(folder / "a.csv", seed)
         vehicle(folder / "v.toml", np.random.default_rng(100 + seed))
-        code = main(
-            ["fit", "--vehicle", str(folder / "v.toml"), "--train", str(folder / "a.csv"), "--out", str(folder / "out")]
-        )
-        assert code == 0
-        found = json.loads((folder / "out" / "fit.json").read_text(encoding="utf-8"))["parameters"]
-        for name, true in TRUTH.items():
-            if name in found and found[name]["std"]:
-                judged += 1
-                inside += abs(found[name]["value"] - true) <= 1.96 * found[name]["std"]
-            if name in ("inertia.xx", "inertia.yy"):
-                off.append(found[name]["value"] / found["thrust.c2"]["value"] / (true / THRUST) - 1)
-        print(seed, {n: (found[n]["value"] / t - 1, found[n]["std"] / t) for n, t in TRUTH.items() if n in found})
-    assert judged >= 15
-    assert inside >= judged - 1
-    assert np.sqrt(np.mean(np.square(off))) < 0.02
+        found = fitted(folder, "--vehicle", str(folder / "v.toml"), "--train", str(folder / "a.csv"))
+        # The file's drag torque is up to 31 % wrong. The coupling of the axes tells it; held, it bends thrust by 5 %.
+        assert set(TRUTH) <= set(found)
+        inside += sum(abs(found[n]["value"] - t) <= 1.96 * found[n]["std"] for n, t in TRUTH.items())
+        moments += [found[n]["value"] / TRUTH[n] - 1 for n in ("inertia.xx", "inertia.yy")]
+        assert all(found[n]["std"] < 0.02 * TRUTH[n] for n in ("inertia.xx", "inertia.yy", "thrust.c2"))
+        result = json.loads((folder / "out4" / "fit.json").read_text(encoding="utf-8"))
+        assert [d["choice"] for d in result["decisions"] if d["about"] == "torque.c2"] == ["estimated"]
+        again = fitted(folder, *shlex.split(result["explicit"]["command"])[2:])
+        assert {n: e["value"] for n, e in again.items()} == {n: e["value"] for n, e in found.items()}
+    assert inside >= 17
+    assert np.sqrt(np.mean(np.square(moments))) < 0.01
+
+
+@pytest.mark.slow
+def test_a_parameter_that_somebody_holds_stays_held(tmp_path: Path) -> None:
+    flight(tmp_path / "a.csv", 3)
+    vehicle(tmp_path / "v.toml", np.random.default_rng(103))
+    words = ("--vehicle", str(tmp_path / "v.toml"), "--train", str(tmp_path / "a.csv"), "--fixed", "torque.c2")
+    assert "torque.c2" not in fitted(tmp_path, *words)

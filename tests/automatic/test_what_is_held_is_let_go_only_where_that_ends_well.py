@@ -1,0 +1,66 @@
+"""What is held for a ratio is estimated where the flights tell it, and stays held where that fails or was said."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import pytest
+
+from greybox.automatic.decide import Given
+from greybox.errors import FitError
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.recipe import Decision, Recipe
+from greybox.estimation.result import Fit
+from tests.estimation.test_what_is_held_but_not_exact_widens_the_errors_of_others import cart, record
+
+automatic = importlib.import_module("greybox.automatic.fit")  # the package has a function of that name
+OPTIONS = FitOptions(fixed=("mass",), considered=("mass",), predictor="simulation", use_compiler=False)
+HELD = Decision(about="mass", choice="held at 2 kg", reason="only its ratio shows", option="--fixed")
+MODEL, FLIGHTS = cart(sigma=0.4, drag=2.0), record()
+
+
+@pytest.fixture(scope="module")
+def found() -> Fit:
+    return fit(MODEL, FLIGHTS, OPTIONS)
+
+
+def done(monkeypatch: pytest.MonkeyPatch, found: Fit, said: Given, answer: Any = None) -> tuple[Fit, list[str]]:
+    lines: list[str] = []
+
+    def again(vehicle: object, data: object, recipe: Recipe) -> Fit:
+        if answer is not None:
+            raise answer
+        return fit(MODEL, FLIGHTS, recipe.options)
+
+    monkeypatch.setattr(automatic, "fit_recipe", again)
+    vehicle: Any = None
+    recipe = Recipe(options=OPTIONS)
+    return automatic._with_what_flights_tell(vehicle, FLIGHTS, found, recipe, [HELD], said, lines.append), lines
+
+
+def test_it_is_estimated_and_the_decision_says_so(monkeypatch, found):
+    result, lines = done(monkeypatch, found, Given())
+    assert "mass" in result.parameters and "mass" not in found.parameters
+    assert [d.choice for d in result.provenance.decisions] == ["estimated"]
+    assert "kg, stated to 0.4" in result.provenance.decisions[0].reason
+    assert result.provenance.recipe.options.fixed == ()
+    assert len(lines) == 1
+
+
+def test_it_stays_held_where_the_other_fit_fails(monkeypatch, found):
+    result, lines = done(monkeypatch, found, Given(), FitError("no minimum"))
+    assert "mass" not in result.parameters
+    assert result.provenance.decisions == (HELD,)
+    assert "held after all" in lines[-1]
+
+
+@pytest.mark.parametrize("said", [{"fixed": ("mass",)}, {"considered": ("mass",)}, {"free": ("gain",)}])
+def test_it_stays_held_where_somebody_said_so(monkeypatch, found, said):
+    result, lines = done(monkeypatch, found, Given(choices=said), AssertionError("asked again"))
+    assert "mass" not in result.parameters and not lines
+
+
+def test_holding_something_else_decides_nothing_about_it(monkeypatch, found):
+    assert "mass" in done(monkeypatch, found, Given(choices={"fixed": ("other",)}))[0].parameters
