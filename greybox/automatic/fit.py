@@ -7,7 +7,7 @@ fails falls back to less, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -199,11 +199,37 @@ def fit_decided(
             step_down(f"without {', '.join(lost)}", "its time constant ran to a bound")
             recipe = replace(recipe, options=without_parts(recipe.options, lost))
             continue
+        told = found.diagnostics.told
+        if found.converged and told and not said.choices.keys() & {"fixed", "free", "considered"}:
+            decisions[:] = [d for d in decisions if d.about not in told]
+            decisions.extend(_set_free(told))
+            options = continued(recipe.options, found)
+            recipe = replace(
+                recipe,
+                options=options.but(
+                    fixed=tuple(n for n in options.fixed if n not in told),
+                    considered=tuple(n for n in options.considered if n not in told),
+                ),
+            )
+            continue
         if not found.converged and less is not None:
             step_down(less[1], found.status.advice)
             recipe = less[0]
             continue
         return found.with_history(recipe, tuple(decisions))
+
+
+def _set_free(told: Mapping[str, tuple[float, float]]) -> list[Decision]:
+    """Why parameters that were held for a ratio are estimated after all."""
+    return [
+        Decision(
+            about=name,
+            choice="estimated",
+            reason=f"the flights tell more than a ratio: alone to {error:.2g}, stated to {stated:.2g}",
+            option="--fixed, --considered",
+        )
+        for name, (error, stated) in told.items()
+    ]
 
 
 def on_pieces(

@@ -17,8 +17,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.errors import FitError, ModelError, UnknownNameError
+from greybox.errors import FitError, UnknownNameError
 from greybox.estimation.build import trouble
+from greybox.estimation.considered import Considered, considered, demand_considerable
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import demand_samples, too_short_for_errors
@@ -76,7 +77,7 @@ def fit(
     dynamics = with_parts(model, map(part_named, options.noise_parts))
     dynamics = with_disturbance(dynamics, options.disturbance)
     predictor, solver = options.chosen_predictor(), options.chosen_solver()
-    _demand_considerable(dynamics, options)
+    demand_considerable(dynamics, options)
     first: Fit | None = None
     if options.initialisation == "innovation":
         before = options.but(predictor="innovation", initialisation="equation-error", considered=())
@@ -100,56 +101,11 @@ def fit(
             theta, status = solver.solve(problem, problem.inside(start), progress)
         except Interrupted as stop:
             theta, status = stop.kept
-        added = _considered_spread(problem, data, options, theta) if options.considered else None
-        result = _finish(problem, data, theta, status, began, _settings(problem, options), added)
+        held = considered(problem, data, options, theta)
+        result = _finish(problem, data, theta, status, began, _settings(problem, options), held)
     if status.code is Code.INTERRUPTED:
         raise Interrupted(result)
     return result
-
-
-def _demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
-    """Raise `ModelError` for a considered parameter that is not held or has no stated error."""
-    declared = {d.name: d for d in dynamics.parameters}
-    for name in options.considered:
-        if name not in options.fixed or name not in declared:
-            raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
-        if not 0 < declared[name].sigma < np.inf:
-            raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
-
-
-def _considered_spread(
-    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
-) -> FloatArray:
-    """What the stated errors of held parameters add to the covariance of the unknowns, (n, n).
-
-    A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian
-    of the problem in which it is free (consider covariance: Schmidt 1966, Application of
-    state-space methods to navigation problems, Advances in Control Systems 3; Tapley, Schutz and
-    Born 2004, Statistical Orbit Determination, ch. 6).
-    """
-    fixed = tuple(n for n in options.fixed if n not in options.considered)
-    free = None if options.free is None else (*options.free, *options.considered)
-    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
-    own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
-    base = dict(
-        zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True)
-    )
-    at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
-    places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
-    mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
-    others = np.array(
-        [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
-    )
-    value = wide.evaluate(at)
-    if value.hessian is None or value.gradient is None:
-        return np.zeros((problem.n, problem.n))
-    g = value.gradient[mine]
-    loose = ~(((theta <= problem.lower) & (g > 0)) | ((theta >= problem.upper) & (g < 0)))
-    moves = np.zeros((problem.n, others.size))
-    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
-    moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
-    sigma = np.array([wide.unknowns[i].sigma for i in others])
-    return (moves * sigma**2) @ moves.T
 
 
 def _settings(problem: Problem, options: FitOptions) -> dict[str, Any]:
@@ -224,10 +180,10 @@ def _finish(
     status: Status,
     began: float,
     settings: Mapping[str, Any],
-    added: FloatArray | None = None,
+    considered: Considered,
 ) -> Fit:
-    """Errors, identifiability and the identified model at the solution; `added` (n, n) joins the
-    covariance."""
+    """Errors, identifiability and the identified model at the solution; what `considered`
+    parameters add joins the covariance."""
     # Scores are summed over stretches longer than the errors' correlation: half a second, twice the
     # window of a predictor that looks further ahead.
     ahead = max(problem.predictor.horizons)
@@ -257,9 +213,9 @@ def _finish(
         assert told is not None
         spread = covariance(told, value.scores, precision, held)
         data_hessian = value.data_hessian
-        if added is not None:
+        if considered.spread is not None:
             free_rows = np.where(held, 0.0, 1.0)
-            more = added * np.outer(free_rows, free_rows)
+            more = considered.spread * np.outer(free_rows, free_rows)
             spread = replace(spread, fisher=spread.fisher + more, sandwich=spread.sandwich + more)
         if status.converged and newton_decrement(g, value.hessian, held) > 1e-2:
             warnings.append(
@@ -283,6 +239,11 @@ def _finish(
         f"{n} is at its bound {e.value:.4g} {e.unit}: no error bar; check the vehicle file or the effect list"
         for n, e in estimates.items()
         if e.at_bound
+    ]
+    warnings += [
+        f"{n} is held, but these flights tell it to {error:.2g}, nearer than its stated error of {stated:.2g}: "
+        "leave it out of --fixed"
+        for n, (error, stated) in considered.told.items()
     ]
     gaps = _gappy(problem)
     if gaps and problem.predictor.name == "innovation":
@@ -337,6 +298,7 @@ def _finish(
             innovations=innovations,
             coloured=coloured,
             covariance=spread,
+            told=considered.told,
             warnings=tuple(warnings),
         ),
         provenance=Provenance(

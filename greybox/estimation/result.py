@@ -91,7 +91,8 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one.
+    whiteness test, in which case `std` of the estimates is the sandwich one. `told`: considered
+    parameters that the flights know better than their stated error (`greybox.estimation.considered`).
     """
 
     status: Status
@@ -101,6 +102,7 @@ class Diagnostics:
     innovations: Mapping[str, list[FloatArray]]
     coloured: bool
     covariance: Covariance
+    told: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
 
 

@@ -16,8 +16,9 @@ MASS, SIGMA = 2.0, 0.02
 """The cart's mass and its stated error [kg]."""
 
 
-def cart(sigma: float = SIGMA) -> StateSpaceModel:
-    """A damped cart of a weighed mass, pushed by gain times voltage: its speed shows gain over mass alone."""
+def cart(sigma: float = SIGMA, drag: float | None = None) -> StateSpaceModel:
+    """A damped cart of a weighed mass, pushed by gain times voltage: its speed shows gain over mass alone, unless the
+    `drag` [N s/m] that brakes it is known."""
     speed = Signal(name="speed", unit="m/s")
     return StateSpaceModel(
         name="cart", states=Layout([speed]), inputs=Layout([Signal(name="u", unit="V")]), outputs=Layout([speed]),
@@ -25,7 +26,7 @@ def cart(sigma: float = SIGMA) -> StateSpaceModel:
             Parameter(name="gain", unit="N/V", nominal=3.0, lower=0.01, upper=100.0, scale=3.0),
             Parameter(name="mass", unit="kg", nominal=MASS, sigma=sigma, lower=0.1, upper=10.0, scale=2.0),
         ),
-        dynamics=lambda t, x, u, p: [-x[0] + p["gain"] / p["mass"] * u],
+        dynamics=lambda t, x, u, p: [-(1.0 if drag is None else drag / p["mass"]) * x[0] + p["gain"] / p["mass"] * u],
         measurement=lambda t, x, u, p: [x[0]],
         noise_states=("speed",), initial_sigma={"speed": 0.1}, sensor_sigma={"speed": 0.02},
     )  # fmt: skip
@@ -70,3 +71,18 @@ def test_it_is_the_error_of_the_ratio_and_that_of_the_mass(stds):
 def test_what_cannot_be_considered_is_said_before_the_fit(sigma, choices, why):
     with pytest.raises(ModelError, match=f"mass is considered but .*{why}"):
         fit(cart(sigma), record(), considered=["mass"], **choices, **CHOICES)
+
+
+def test_a_parameter_whose_ratio_alone_shows_is_never_told():
+    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
+    assert not found.diagnostics.told
+    assert not any("mass is held" in w for w in found.warnings)
+
+
+def test_one_that_the_record_knows_better_than_the_scale_is_told_to_what_a_free_fit_gives():
+    choices = {"fixed": ["mass"], "considered": ["mass"], **CHOICES}
+    found = fit(cart(sigma=0.4, drag=2.0), record(), **choices)
+    alone = fit(cart(sigma=1e6, drag=2.0), record(), **CHOICES)["mass"].std
+    assert found.diagnostics.told["mass"] == (pytest.approx(alone, rel=2e-2), 0.4)
+    assert any("mass is held, but these flights tell it" in w for w in found.warnings)
+    assert not fit(cart(sigma=0.2 * alone, drag=2.0), record(), **choices).diagnostics.told

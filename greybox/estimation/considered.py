@@ -1,0 +1,105 @@
+"""Parameters that are held although their values are not exact: what their stated errors add to the
+errors of the others, and whether the flights know them better than they are stated.
+
+A held parameter that is off by d moves the estimates by S d, S = -H_uu^-1 H_uc with the Hessian of
+the problem in which it is free (consider covariance: Schmidt 1966, Application of state-space
+methods to navigation problems, Advances in Control Systems 3; Tapley, Schutz and Born 2004,
+Statistical Orbit Determination, ch. 6). To hold a parameter is right where the flights say nothing
+of it, as where only its ratio to another one shows. What they say is the Schur complement
+H_cc - H_cu H_uu^-1 H_uc of the data's Hessian, without any prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Dataset
+from greybox.errors import ModelError
+from greybox.estimation.covariance import scaled_inverse
+from greybox.estimation.options import FitOptions
+from greybox.estimation.problem import Problem, make_problem
+from greybox.model.dynamics import Dynamics
+from greybox.symbolic import FloatArray
+
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Considered:
+    """`spread` (n, n): what stated errors add to the covariance of the unknowns. `told`: name ->
+    (standard error that the flights alone give, stated error), of those where it is smaller."""
+
+    spread: FloatArray | None = None
+    told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
+    """Raise `ModelError` for a considered parameter that is not held or has no stated error."""
+    declared = {d.name: d for d in dynamics.parameters}
+    for name in options.considered:
+        if name not in options.fixed or name not in declared:
+            raise ModelError(f"{name} is considered but not held", fix=f"--fixed {name}, too")
+        if not 0 < declared[name].sigma < np.inf:
+            raise ModelError(f"{name} is considered but has no stated error", fix="give it a sigma")
+
+
+def considered(
+    problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray
+) -> Considered:
+    """What there is to say of the considered parameters of a fit that ended at `theta` (n,)."""
+    if not options.considered:
+        return Considered()
+    fixed = tuple(n for n in options.fixed if n not in options.considered)
+    free = None if options.free is None else (*options.free, *options.considered)
+    wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))
+    own = {(u.name, u.flight): t for u, t in zip(problem.unknowns, theta, strict=True)}
+    base = dict(
+        zip((d.name for d in problem.dynamics.parameters), problem.base.tolist(), strict=True)
+    )
+    at = np.array([own.get((u.name, u.flight), base.get(u.name, u.start)) for u in wide.unknowns])
+    places = {(u.name, u.flight): i for i, u in enumerate(wide.unknowns)}
+    mine = np.array([places[u.name, u.flight] for u in problem.unknowns], dtype=np.intp)
+    others = np.array(
+        [i for i, u in enumerate(wide.unknowns) if (u.name, u.flight) not in own], dtype=np.intp
+    )
+    value = wide.evaluate(at)
+    if value.hessian is None or value.gradient is None or value.data_hessian is None:
+        return Considered(spread=np.zeros((problem.n, problem.n)))
+    g = value.gradient[mine]
+    loose = ~(((theta <= problem.lower) & (g > 0)) | ((theta >= problem.upper) & (g < 0)))
+    moves = np.zeros((problem.n, others.size))
+    inverse, _ = scaled_inverse(value.hessian[np.ix_(mine[loose], mine[loose])])
+    moves[loose] = -inverse @ value.hessian[np.ix_(mine[loose], others)]
+    sigma = np.array([wide.unknowns[i].sigma for i in others])
+    error = _by_flights_alone(value.data_hessian, mine[loose], others, sigma)
+    return Considered(
+        spread=(moves * sigma**2) @ moves.T,
+        told={
+            wide.unknowns[i].name: (float(e), float(s))
+            for i, e, s in zip(others, error, sigma, strict=True)
+            if e < s
+        },
+    )
+
+
+def _by_flights_alone(
+    hessian: FloatArray, unknown: Places, held: Places, sigma: FloatArray
+) -> FloatArray:
+    """Standard error (n_c,) of every held parameter by the data's Hessian, the other held ones
+    known to `sigma` (n_c,); infinite where the flights say nothing."""
+    inverse, _ = scaled_inverse(hessian[np.ix_(unknown, unknown)])
+    cross = hessian[np.ix_(held, unknown)]
+    whole = hessian[np.ix_(held, held)]
+    shown = whole - cross @ inverse @ cross.T
+    shown = np.where(np.abs(shown) > 1e-9 * np.abs(whole), shown, 0.0)  # rounding of a ratio
+    errors = np.full(held.size, np.inf)
+    for i in range(held.size):
+        rest = np.delete(np.arange(held.size), i)
+        inner = shown[np.ix_(rest, rest)] + np.diag(sigma[rest] ** -2.0)
+        alone = shown[i, i] - shown[i, rest] @ np.linalg.solve(inner, shown[rest, i])
+        errors[i] = alone**-0.5 if alone > 0 else np.inf
+    return errors
