@@ -34,7 +34,6 @@ from greybox.automatic.pieces import SHORTEST, first_parts
 from greybox.automatic.sets import LATE_POSE, Step, names_of, nested_sets, per_flight_parameters
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
-from greybox.estimation.few_samples import demand_seconds
 from greybox.estimation.fit import fit, noise_of
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.recipe import Decision, Recipe
@@ -143,8 +142,7 @@ def decide(
 ) -> Decided:
     """The recipe for a fit of `vehicle` to `data`, which has the rate that it is fitted at.
 
-    `say` gets a line per thing done. Raises `DataError` for flights that are too short, `DataError`,
-    `ModelError` where no model can be built.
+    `say` gets a line per thing done. Raises `DataError`, `ModelError` where no model can be built.
     """
     return _Decider(vehicle=vehicle, data=data, facts=facts, given=given, say=say).run()
 
@@ -165,8 +163,6 @@ class _Decider:
         said = FitOptions.of(None, self.given.choices)
         for member in (said.chosen_predictor, said.chosen_criterion, said.chosen_solver):
             member()  # a name that there is not is said before anything takes time
-        if said.estimate_noise:
-            demand_seconds(self.data)
         self._kinematics()
         options = self._held(self._noise(self._disturbance(said)))
         self.considered = options.considered

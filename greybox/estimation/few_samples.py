@@ -3,17 +3,14 @@
 The Fisher covariance takes the noise levels for known; in a second of data a level that comes out too
 small by chance makes the errors too small with it. Of 95 % intervals 73 % held the truth after 1 s and 66 %
 after 0.6 s. Taking up the doubt about the levels by quadrature (law of total variance, three points a level)
-brought 82 % at 1 s, which is no 95 % interval either. So an automatic fit, whose user asked for nothing
-special, refuses such flights, and an explicit one says that its errors are too small.
+brought 82 % at 1 s, which is no 95 % interval either; so it is said that the flights are too short.
 """
 
 from __future__ import annotations
 
-from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.estimation.covariance import FEWEST_BLOCKS
 from greybox.estimation.problem import Problem
-from greybox.statistics.blocks import BLOCK_SECONDS, block_samples
 
 
 def demand_samples(problem: Problem) -> None:
@@ -25,23 +22,6 @@ def demand_samples(problem: Problem) -> None:
         raise DataError(
             f"{samples} samples are fewer than the {unknowns} unknowns",
             fix="pass a longer flight, or hold parameters (--fixed) and noise levels (--hold-noise)",
-        )
-
-
-def demand_seconds(data: Dataset) -> None:
-    """Raise `DataError` where flights are too short to tell how sure their fit is.
-
-    Flights at one rate; every piece without a gap counts the stretches of `BLOCK_SECONDS` [s] in it.
-    """
-    pieces = [s for flight in data for s in flight.segments]
-    if sum(-(-s.n // block_samples(s.dt)) for s in pieces) < FEWEST_BLOCKS:
-        seconds = sum(s.n * s.dt for s in pieces)
-        raise DataError(
-            f"{seconds:.3g} s of flight are too short to say how sure the numbers are",
-            where=", ".join(data.names),
-            expected=f"at least {FEWEST_BLOCKS * BLOCK_SECONDS:g} s in all, better 20 s",
-            fix="pass a longer flight or several, or hold the noise levels (--hold-noise all); --manual fits "
-            "all the same, with standard errors that are too small",
         )
 
 

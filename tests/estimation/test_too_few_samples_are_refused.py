@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
-import greybox as gb
 from greybox import build_model, fit
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import DataError
 from greybox.estimation.engine import unfelt_place
-from greybox.estimation.few_samples import demand_seconds
 from tests.simulated import flights, vehicle
 
 EFFECTS = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
@@ -35,19 +31,6 @@ def test_a_short_flight_says_that_its_errors_are_too_small(rows: int, short: boo
     data = cut(rows)
     found = fit(build_model(vehicle(), data.channels, ("motor_lag",)), data)
     assert any("standard errors are too small" in w and "--hold-noise" in w for w in found.warnings) is short
-
-
-@pytest.mark.parametrize("rows", [60, 100, 349])
-def test_an_automatic_fit_of_so_little_is_refused_with_the_next_step(rows: int) -> None:
-    with pytest.raises(DataError, match=r"too short .* at least 4 s .* Usual fix: pass a longer flight"):
-        gb.fit(vehicle(), cut(rows))
-
-
-def test_short_flights_add_up_and_held_noise_levels_are_no_unknowns() -> None:
-    short = [replace(cut(100).flights[0], name=f"run{i}") for i in range(4)]
-    demand_seconds(Dataset(flights=tuple(short)))
-    with pytest.raises(DataError, match="2 s of flight"):
-        demand_seconds(Dataset(flights=tuple(short[:2])))
 
 
 def test_the_place_is_felt_only_where_something_depends_on_it() -> None:
