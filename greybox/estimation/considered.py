@@ -40,6 +40,10 @@ class Considered:
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
+NOTHING = Considered()
+"""Of a fit that considers nothing."""
+
+
 def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
     """Raise `ModelError` for a considered parameter that is not held or has no stated error."""
     declared = {d.name: d for d in dynamics.parameters}
@@ -53,7 +57,7 @@ def demand_considerable(dynamics: Dynamics, options: FitOptions) -> None:
 def considered(problem: Problem, data: Dataset, options: FitOptions, theta: FloatArray) -> Considered:
     """What there is to say of the considered parameters of a fit that ended at `theta` (n,)."""
     if not options.considered:
-        return Considered()
+        return NOTHING
     fixed = tuple(n for n in options.fixed if n not in options.considered)
     free = None if options.free is None else (*options.free, *options.considered)
     wide = make_problem(problem.dynamics, data, options.but(fixed=fixed, free=free))

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from greybox.data import Dataset
 from greybox.errors import FitError, UnknownNameError
 from greybox.estimation.build import trouble
-from greybox.estimation.considered import Considered, considered, demand_considerable
+from greybox.estimation.considered import NOTHING, Considered, considered, demand_considerable
 from greybox.estimation.covariance import Covariance, correlation, covariance, scaled_inverse
 from greybox.estimation.feasible import wall
 from greybox.estimation.few_samples import demand_samples, too_short_for_errors
@@ -180,7 +180,7 @@ def _finish(
     status: Status,
     began: float,
     settings: Mapping[str, Any],
-    considered: Considered,
+    considered: Considered = NOTHING,
 ) -> Fit:
     """Errors, identifiability and the identified model at the solution; what `considered`
     parameters add joins the covariance."""
@@ -290,6 +290,7 @@ def _finish(
             correlation_names=names,
             correlations=correlation(cov),
             theta=theta,
+            told=nearer,
         ),
         diagnostics=Diagnostics(
             status=replace(status, seconds=time.perf_counter() - began),
@@ -299,7 +300,6 @@ def _finish(
             innovations=innovations,
             coloured=coloured,
             covariance=spread,
-            told=nearer,
             warnings=tuple(warnings),
         ),
         provenance=Provenance(

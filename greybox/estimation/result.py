@@ -73,7 +73,8 @@ class Estimates:
 
     `derived` and `noise` map names to (value, std) and (level, std, unit); `correlations` (m, m)
     are those of the shared parameters `correlation_names`; `theta` (n,) are all unknowns of the
-    problem.
+    problem. `told`: name -> (error by the flights, stated error) of held parameters that flights with
+    white innovations know better than they are stated (`greybox.estimation.considered`).
     """
 
     model: IdentifiedModel
@@ -83,6 +84,7 @@ class Estimates:
     correlation_names: tuple[str, ...]
     correlations: FloatArray
     theta: FloatArray
+    told: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,9 +93,7 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one. `told`: considered
-    parameters that flights with white innovations know better than their stated error, and both errors
-    (`greybox.estimation.considered`).
+    whiteness test, in which case `std` of the estimates is the sandwich one.
     """
 
     status: Status
@@ -103,7 +103,6 @@ class Diagnostics:
     innovations: Mapping[str, list[FloatArray]]
     coloured: bool
     covariance: Covariance
-    told: Mapping[str, tuple[float, float]]
     warnings: tuple[str, ...]
 
 
@@ -240,6 +239,11 @@ class Fit(Shown):
     def correlations(self) -> FloatArray:
         """Correlation matrix (m, m) of the shared parameters."""
         return self.estimates.correlations
+
+    @property
+    def told(self) -> Mapping[str, tuple[float, float]]:
+        """Held parameters that the flights know better than they are stated."""
+        return self.estimates.told
 
     @property
     def theta(self) -> FloatArray:

@@ -6,6 +6,7 @@ copies them.
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 from greybox.errors import GreyboxError, UnknownNameError
@@ -79,16 +80,46 @@ def copy(set_name: str, folder: str | Path) -> list[Path]:
     """Copy all files of a set into `folder`, which is made; licence and provenance come along. Returns the copies.
 
     Raises `UnknownNameError`, `OutputError`, and `GreyboxError` before anything is written where a file of that name
-    and other content is there.
+    and other content is there, or where greybox's own files are not those of SHA256SUMS.
     """
-    files = sorted(p for p in path(set_name).iterdir() if p.is_file())
-    copies = [Path(folder) / p.name for p in files]
-    for source, target in zip(files, copies):
-        if target.exists() and (target.is_dir() or target.read_bytes() != source.read_bytes()):
+    contents = {Path(folder) / name: content for name, content in _sound(path(set_name)).items()}
+    for target, content in contents.items():
+        if target.exists() and not _holds(target, content):
             raise GreyboxError(
-                f"there is a {target.name} of yours", where=str(target), expected="a folder without one",
+                f"there is a {target.name} of yours",
+                where=str(target),
+                expected="a folder without one",
                 fix="choose another --out",
-            )  # fmt: skip
-    for source, target in zip(files, copies):
-        write_atomic(target, source.read_bytes())
-    return copies
+            )
+    for target, content in contents.items():
+        write_atomic(target, content)
+    return list(contents)
+
+
+def _sound(folder: Path) -> dict[str, bytes]:
+    """Name -> content of the files of a set; all that SHA256SUMS lists are whole. Raises `GreyboxError`."""
+    fix = "install greybox again (pip install --force-reinstall --no-deps greybox-sysid)"
+    try:
+        contents = {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
+        sums = [line.split() for line in contents["SHA256SUMS"].decode("ascii").splitlines()]
+        listed = {name: digest for digest, name in sums}
+    except OSError as error:
+        where = str(error.filename or folder)
+        raise GreyboxError(f"cannot read: {error.strerror or error}", where=where, fix=fix) from None
+    except (KeyError, ValueError):
+        raise GreyboxError("is missing or damaged", where=str(folder / "SHA256SUMS"), fix=fix) from None
+    for name, digest in listed.items():
+        if name not in contents or hashlib.sha256(contents[name]).hexdigest() != digest:
+            what = "is missing" if name not in contents else "is not the file that was shipped"
+            raise GreyboxError(what, where=str(folder / name), fix=fix)
+    return contents
+
+
+def _holds(target: Path, content: bytes) -> bool:
+    """Whether a file is there with this content. Raises `GreyboxError` where it cannot be read."""
+    try:
+        return not target.is_dir() and target.read_bytes() == content
+    except OSError as error:
+        raise GreyboxError(
+            f"cannot read: {error.strerror or error}", where=str(target), fix="choose another --out"
+        ) from None

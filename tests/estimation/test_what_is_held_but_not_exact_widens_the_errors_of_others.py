@@ -76,7 +76,7 @@ def test_what_cannot_be_considered_is_said_before_the_fit(sigma, choices, why):
 
 def test_a_parameter_whose_ratio_alone_shows_is_never_told():
     found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
-    assert not found.diagnostics.told
+    assert not found.estimates.told
     assert not any("mass is held" in w for w in found.warnings)
 
 
@@ -84,9 +84,9 @@ def test_one_that_the_record_knows_better_than_the_scale_is_told_to_what_a_free_
     choices = {"fixed": ["mass"], "considered": ["mass"], **CHOICES}
     found = fit(cart(sigma=0.4, drag=2.0), record(), **choices)
     alone = fit(cart(sigma=1e6, drag=2.0), record(), **CHOICES)["mass"].std
-    assert found.diagnostics.told["mass"] == (pytest.approx(alone, rel=2e-2), 0.4)
+    assert found.estimates.told["mass"] == (pytest.approx(alone, rel=2e-2), 0.4)
     assert any("mass is held, but these flights tell it" in w for w in found.warnings)
-    assert not fit(cart(sigma=0.2 * alone, drag=2.0), record(), **choices).diagnostics.told
+    assert not fit(cart(sigma=0.2 * alone, drag=2.0), record(), **choices).estimates.told
 
 
 def test_rounding_of_an_ill_conditioned_ratio_tells_nothing():

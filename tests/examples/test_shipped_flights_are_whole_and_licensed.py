@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
 
 import numpy as np
 import pytest
 
 import greybox
+from greybox import examples
 from greybox.cli import main
 from greybox.data import read_logs
 from greybox.errors import UnknownNameError
@@ -29,7 +32,11 @@ def test_checksums_cover_every_log_and_hold(set_name):
     lines = [line.split("  ") for line in (folder / "SHA256SUMS").read_text().splitlines()]
     for digest, name in lines:
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-    assert {name for _, name in lines} == {p.name for p in flight_paths(set_name)} | {"LICENSE"}
+    assert {name for _, name in lines} == {
+        *(p.name for p in flight_paths(set_name)),
+        "LICENSE",
+        "vehicle.toml",
+    }
 
 
 @pytest.mark.parametrize(("set_name", "licence"), [("nanobench", "BSD 3-Clause"), ("arpl_crazyflie", "MIT License")])
@@ -97,3 +104,32 @@ def test_the_command_copies_a_set_with_its_licence_and_touches_no_file_of_the_us
 def test_they_are_there_as_an_attribute_of_greybox():
     assert greybox.examples.path("nanobench").is_dir()
     assert "examples" in greybox.__all__
+
+
+@pytest.mark.parametrize("how", ["cut", "gone", "no file", "no sums"])
+def test_files_that_are_not_whole_are_one_line_and_nothing_is_copied(how, tmp_path, capsys, monkeypatch):
+    shutil.copytree(path("arpl_crazyflie"), tmp_path / "arpl_crazyflie")
+    monkeypatch.setattr(examples, "ROOT", tmp_path)
+    victim = tmp_path / "arpl_crazyflie" / ("SHA256SUMS" if how == "no sums" else "log15.csv.gz")
+    content = victim.read_bytes()
+    victim.unlink()
+    if how == "cut":
+        victim.write_bytes(content[:5000])
+    if how == "no file":
+        victim.mkdir()
+    assert main(["examples", "arpl_crazyflie", "--out", str(tmp_path / "mine")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert victim.name in said.err
+    assert "Usual fix: install greybox again" in said.err
+    assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everywhere")
+def test_an_unreadable_file_is_one_line(tmp_path, capsys, monkeypatch):
+    shutil.copytree(path("arpl_crazyflie"), tmp_path / "arpl_crazyflie")
+    monkeypatch.setattr(examples, "ROOT", tmp_path)
+    (tmp_path / "arpl_crazyflie" / "log15.csv.gz").chmod(0)
+    assert main(["examples", "arpl_crazyflie", "--out", str(tmp_path / "mine")]) == 2
+    assert "cannot read: Permission denied" in capsys.readouterr().err

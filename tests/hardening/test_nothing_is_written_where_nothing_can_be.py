@@ -24,7 +24,7 @@ WRITERS = {
     "greybox/commands/missing_effect.py": "below the folder of the demo's --out, which is checked before",
     "greybox/commands/selftest_checks.py": "a temporary folder",
     "greybox/data/readers/mat_child.py": "a temporary folder of its parent",
-    "greybox/discovery/proposal.py": "a temporary folder",
+    "greybox/residual/laws/effect_file.py": "a temporary folder",
     "greybox/plants/flight_log.py": "logs of a simulated craft, which nothing reads before they are whole",
     "greybox/plants/vehicle_file.py": "the vehicle file of a simulated craft, likewise",
     "mpc_export/acados.py": "inside the temporary folder of a bundle, which is moved when it is whole",

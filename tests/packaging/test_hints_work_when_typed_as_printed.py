@@ -1,5 +1,6 @@
-"""In an empty environment with nothing but the wheel, each "Usual fix: pip install ..." is typed as printed, and helps.
+"""In an empty environment with nothing but the wheel, what "Usual fix: pip install ..." says is typed as printed, and helps.
 
+Typed are the hints for shell completion and for logs of PX4, Parquet and Betaflight; hints for the other extras are not.
 Slow (asks PyPI; PyTorch's index for the extra `gp`). The wheel is found as a released one would be, by its name.
 """
 

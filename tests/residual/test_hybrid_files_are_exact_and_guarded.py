@@ -122,7 +122,7 @@ def test_a_cut_file_is_one_clear_line(file: Path, tmp_path: Path, capsys: pytest
 
 
 def test_the_physics_reader_sends_you_to_the_right_one(file: Path) -> None:
-    with pytest.raises(FileFormatError, match="load_model"):
+    with pytest.raises(FileFormatError, match=r"greybox\.load"):
         IdentifiedModel.load(file)
 
 

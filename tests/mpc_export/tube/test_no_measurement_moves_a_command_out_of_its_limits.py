@@ -1,6 +1,9 @@
 """No measurement, however wild, moves a command out of its limits, stops a pilot or keeps it lost.
 
 GREYBOX_FUZZ=1000000 python -m pytest -m slow THIS_FILE -s   # a million plans, a million samples
+
+Long runs go in parts of 50 000, each from a seed of its own, and print the sum so far: a run that is
+cut tells what it has seen.
 """
 
 from __future__ import annotations
@@ -8,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +28,7 @@ from tests.mpc_export.tube.wild import fuzzed
 
 HERE = Path(__file__).parent
 MANY = int(os.environ.get("GREYBOX_FUZZ", "20000"))
+PART = 50_000
 SANITIZED = ("-std=c99", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined")
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
@@ -157,9 +162,19 @@ def test_a_start_that_is_not_finite_and_limits_that_are_none_are_refused():
             TubeProblem(**wrong)
 
 
+def in_parts(steps: int, first_seed: int) -> Iterator[tuple[int, int]]:
+    """(steps, seed) of every part; prints how many steps were judged when a part is done."""
+    for done in range(0, steps, PART):
+        part = min(PART, steps - done)
+        yield part, first_seed + done // PART
+        print(f"{done + part} of {steps} steps", flush=True)
+
+
 @pytest.mark.slow
 def test_many_plans_in_c_keep_their_limits(tmp_path):
-    judged(program(tmp_path, FAST_FLAGS), MANY, 2)
+    command = program(tmp_path, FAST_FLAGS)
+    for steps, seed in in_parts(MANY, 100):
+        judged(command, steps, seed)
 
 
 @pytest.mark.slow
@@ -169,4 +184,5 @@ def test_plans_in_c_stay_inside_their_memory(tmp_path):
 
 @pytest.mark.slow
 def test_many_commands_of_a_pilot_keep_their_limits():
-    flown(MANY, 2)
+    for steps, seed in in_parts(MANY, 200):
+        flown(steps, seed)
