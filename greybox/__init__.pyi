@@ -22,3 +22,5 @@ from greybox.validation.validate import validate as validate
 
 __all__: list[str]
 __version__: str
+
+_MOVED: dict[str, str]

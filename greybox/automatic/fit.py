@@ -215,7 +215,7 @@ def _with_what_flights_tell(
     choices = said.choices
     own = {*choices.get("fixed", ()), *choices.get("considered", ())}
     told = {n: e for n, e in found.estimates.told.items() if n not in own}
-    if not told or not found.converged or "free" in choices:
+    if not told or "free" in choices:
         return as_it_was
     unit = {d.name: d.unit for d in found.model.dynamics.parameters}
     new = [

@@ -156,7 +156,9 @@ def run(arguments: argparse.Namespace) -> int:
     # The flight that judges is drawn; a fitted one where there is none.
     drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
     lines = series(result.model, *drawn, adapted=adapted)
-    page = fit_report(content, lines, checked, title=f"Fit of {vehicle.name}")
+    # What physics says on the terminal stands on the page, too.
+    said = {**content, "warnings": [*physics, *content["warnings"]]}
+    page = fit_report(said, lines, checked, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))

@@ -52,11 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(text, file=sys.stderr, flush=True)
 
     out = Path(arguments.out)
-    files = [*arguments.inputs, *arguments.train]
-    vehicle = arguments.vehicle
-    if vehicle is None and files and Path(files[0]).suffix == ".toml":
-        vehicle = files.pop(0)
-    logs = files
+    vehicle, logs = arguments.vehicle, [*arguments.inputs, *arguments.train]
+    if vehicle is None and logs and Path(logs[0]).suffix == ".toml":
+        vehicle = logs.pop(0)
     if not logs:
         raise GreyboxError("no flights to fit", fix="greybox identify --vehicle V.toml --train A.csv B.csv")
     if vehicle is None:

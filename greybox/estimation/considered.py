@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from greybox.data import Dataset
 from greybox.errors import ModelError
-from greybox.estimation.covariance import NULL_SHARE, scaled_inverse
+from greybox.estimation.covariance import NULL_SHARE, scaled_eigen, scaled_inverse
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, make_problem
 from greybox.model.dynamics import Dynamics
@@ -92,8 +92,7 @@ def by_flights_alone(hessian: FloatArray, unknown: Places, held: Places, sigma: 
     known to `sigma` (n_c,); infinite where the flights say nothing, or not more than rounding."""
     inner = hessian[np.ix_(unknown, unknown)]
     inverse, _ = scaled_inverse(inner)
-    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    level = np.linalg.eigvalsh(inner / np.outer(size, size))
+    _, level, _ = scaled_eigen(inner)
     condition = level[-1] / max(level[0], NULL_SHARE * level[-1])
     cross = hessian[np.ix_(held, unknown)]
     whole = hessian[np.ix_(held, held)]

@@ -68,6 +68,14 @@ def covariance(hessian: FloatArray, scores: FloatArray | None, precision: FloatA
     return Covariance(fisher=fisher, sandwich=sandwich, blocks=0 if scores is None else scores.shape[0])
 
 
+def scaled_eigen(h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(sizes (n,) of the unknowns, eigenvalues (n,) rising and eigenvectors (n, n) of a positive semi-definite matrix whose
+    diagonal they bring to one)."""
+    size = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    value, vector = np.linalg.eigh(h / np.outer(size, size))
+    return size, value, vector
+
+
 def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
     """(inverse of a positive semi-definite matrix on its range, mask of unknowns touched by its null space).
 
@@ -75,11 +83,10 @@ def scaled_inverse(h: FloatArray) -> tuple[FloatArray, BoolArray]:
     """
     if not h.size:
         return np.zeros_like(h), np.zeros(0, dtype=bool)
-    size = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    value, vector = np.linalg.eigh(h / np.outer(size, size))
+    size, value, vector = scaled_eigen(h)
     good = value > NULL_SHARE * max(value[-1], 1e-300)
     inverse = (vector[:, good] / value[good]) @ vector[:, good].T / np.outer(size, size)
-    empty = (np.abs(vector[:, ~good]) > 0.05).any(axis=1)
+    empty = np.asarray((np.abs(vector[:, ~good]) > 0.05).any(axis=1))
     return inverse, empty
 
 

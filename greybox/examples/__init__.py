@@ -82,7 +82,7 @@ def copy(set_name: str, folder: str | Path) -> list[Path]:
     Raises `UnknownNameError`, `OutputError`, and `GreyboxError` before anything is written where a file of that name
     and other content is there, or where greybox's own files are not those of SHA256SUMS.
     """
-    contents = {Path(folder) / name: content for name, content in _sound(path(set_name)).items()}
+    contents = {Path(folder) / name: content for name, content in sound(set_name).items()}
     for target, content in contents.items():
         if target.exists() and not _holds(target, content):
             raise GreyboxError(
@@ -96,8 +96,10 @@ def copy(set_name: str, folder: str | Path) -> list[Path]:
     return list(contents)
 
 
-def _sound(folder: Path) -> dict[str, bytes]:
-    """Name -> content of the files of a set; all that SHA256SUMS lists are whole. Raises `GreyboxError`."""
+def sound(set_name: str) -> dict[str, bytes]:
+    """Name -> content of the files of a set; all that SHA256SUMS lists are whole. Raises `UnknownNameError`,
+    `GreyboxError`."""
+    folder = path(set_name)
     fix = "install greybox again (pip install --force-reinstall --no-deps greybox-sysid)"
     try:
         contents = {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}

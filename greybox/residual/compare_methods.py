@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -119,7 +120,10 @@ def _output_hybrid(
     return bench.outcome(label, final, views=False, seconds=seconds, search=tried, settings=settings)
 
 
-def _linear_hybrid(bench: Bench, base: BasePredictor, label: str, learner: str = GP) -> Outcome:
+def _linear_hybrid(
+    bench: Bench, *, model: Callable[[Bench], tuple[BasePredictor, Any]], label: str, learner: str = GP
+) -> Outcome:
+    base, _ = model(bench)
     plain = output_features(base, bench.train_segments[0].names)
     return _output_hybrid(bench, base, _choices(bench, plain), label, learner)
 
@@ -222,19 +226,11 @@ METHODS: Mapping[str, Callable[[Bench], Outcome]] = {
     "linear MIMO PEM": _mimo,
     "nonlinear PEM": _nonlinear,
     "nonlinear PEM + GP": _hybrid,
-    "linear PEM + GP": lambda bench: _linear_hybrid(bench, bench.siso[0], "linear PEM + GP"),
+    "linear PEM + GP": partial(_linear_hybrid, model=attrgetter("siso"), label="linear PEM + GP"),
     "nonlinear PEM + output GP": _nonlinear_output,
     "GP alone": _gp,
     "LSTM": _lstm,
 }
-
-
-def _siso_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
-    return _linear_hybrid(bench, bench.siso[0], label, learner)
-
-
-def _mimo_pair(bench: Bench, *, label: str, learner: str) -> Outcome:
-    return _linear_hybrid(bench, bench.mimo[0], label, learner)
 
 
 def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
@@ -247,8 +243,8 @@ def pairs(learners: Sequence[str]) -> dict[str, Callable[[Bench], Outcome]]:
         learner_of(learner)
         word = "GP" if learner == GP else learner
         siso, mimo, physics = (f"{b} PEM + {word}" for b in ("linear SISO", "linear MIMO", "nonlinear"))
-        out[mimo] = partial(_mimo_pair, label=mimo, learner=learner)
+        out[mimo] = partial(_linear_hybrid, model=attrgetter("mimo"), label=mimo, learner=learner)
         if learner != GP:
-            out[siso] = partial(_siso_pair, label=siso, learner=learner)
+            out[siso] = partial(_linear_hybrid, model=attrgetter("siso"), label=siso, learner=learner)
             out[physics] = partial(_hybrid, learner=learner)
     return out

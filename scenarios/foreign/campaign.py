@@ -92,6 +92,19 @@ def worse_than_last_value(validation: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def fit_plainly(
+    vehicle: Path, train: Sequence[Path], test: Sequence[Path], folder: Path, options: Sequence[str]
+) -> subprocess.CompletedProcess[str]:
+    """`greybox fit` in a process of its own: its files are in folder/fit, what it said in
+    folder/fit.txt."""
+    command = [sys.executable, "-m", "greybox", "fit", "--vehicle", str(vehicle)]
+    command += ["--train", *map(str, train), "--test", *map(str, test)]
+    command += ["--out", str(folder / "fit"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    (folder / "fit.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+    return done
+
+
 def judge(
     seed: int, out: Path, simulator: str | None, hidden: Sequence[str], options: Sequence[str]
 ) -> Row:
@@ -101,13 +114,10 @@ def judge(
     if not (folder / "truth.json").exists():
         write(drawn, folder)
     fitted = folder / "fit"
-    train, test = (sorted(map(str, folder.glob(f"{kind}*.csv"))) for kind in ("train", "test"))
-    command = [sys.executable, "-m", "greybox", "fit", "--vehicle", str(folder / "vehicle.toml")]
-    command += ["--train", *train, "--test", *test, "--out", str(fitted), *options]
+    train, test = (sorted(folder.glob(f"{kind}*.csv")) for kind in ("train", "test"))
     before = os.times()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = fit_plainly(folder / "vehicle.toml", train, test, folder, options)
     after = os.times()
-    (folder / "fit.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
     z: dict[str, float] = {}
     off: dict[str, float] = {}
     worse: list[str] = []

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,7 +21,7 @@ import numpy as np
 
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_path, vehicle_path
 from greybox.files import write_json
-from scenarios.foreign.campaign import DEVIATIONS, USABLE, judge
+from scenarios.foreign.campaign import DEVIATIONS, USABLE, fit_plainly, judge
 
 AUTOMATIC = "automatic"
 OVERRULED: dict[str, tuple[str, ...]] = {
@@ -41,16 +39,6 @@ HORIZON = 0.5
 TRAIN, TEST = NANOBENCH_TRAIN[3:6], NANOBENCH_TEST[1:3]
 
 
-def fit_real(out: Path, options: Sequence[str]) -> None:
-    """NanoBench with the plain command and the options."""
-    out.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "greybox", "fit", "--vehicle", str(vehicle_path("nanobench")), "--train"]
-    command += [str(flight_path("nanobench", name)) for name in TRAIN]
-    command += ["--test", *(str(flight_path("nanobench", name)) for name in TEST), "--out", str(out / "fit"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    (out / "fit.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
-
-
 def run(name: str, out: Path, seeds: Sequence[int]) -> None:
     """All fits with one decision overruled; rows.json keeps what the campaign says of each craft."""
     folder = out / name.replace(" ", "_")
@@ -58,7 +46,10 @@ def run(name: str, out: Path, seeds: Sequence[int]) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     rows = [asdict(judge(seed, folder, None, (), OVERRULED[name])) for seed in seeds]
-    fit_real(folder / "nanobench", OVERRULED[name])
+    real = folder / "nanobench"
+    real.mkdir(exist_ok=True)
+    train, test = ([flight_path("nanobench", flight) for flight in flights] for flights in (TRAIN, TEST))
+    fit_plainly(vehicle_path("nanobench"), train, test, real, OVERRULED[name])
     write_json(folder / "rows.json", {"rows": rows})
 
 

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+from greybox import _MOVED
 from scenarios.studies.docs_glossary import table
 
 HEAD = """# Reference
@@ -24,29 +25,9 @@ Commands and public names, each with what it takes, written by `python -m scenar
 How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
 """
 
-MODULES = {
-    "Dataset": "greybox.data",
-    "Fit": "greybox.estimation.fit",
-    "Flight": "greybox.data",
-    "IdentifiedModel": "greybox.model.identified",
-    "Layout": "greybox.symbolic",
-    "Parameter": "greybox.model.parameter",
-    "ParameterValues": "greybox.model.parameter",
-    "PhysicsModel": "greybox.model.model",
-    "Segment": "greybox.data",
-    "Signal": "greybox.symbolic",
-    "StateSpaceModel": "greybox.model.dynamics",
-    "Vehicle": "greybox.model.vehicle",
-    "check_vehicle": "greybox.model.plausibility",
-    "fit_report": "greybox.report.fit_report",
-    "from_gpytorch": "greybox.residual.from_gpytorch",
-    "inspect_log": "greybox.data.inspection",
-    "load_effects": "greybox.model.effects_file",
-    "read_log": "greybox.data.logs",
-    "save_model": "greybox.residual.files",
-    "vehicle_findings": "greybox.model.plausibility",
-}
-"""What else is described: types that public names take and give back, and what a page uses."""
+MODULES = {name: module for name, module in _MOVED.items() if name != "load_model"}
+"""What else is described: types that public names take and give back, and what a page uses. `greybox.load` reads all
+models."""
 
 
 def _cell(text: str) -> str:

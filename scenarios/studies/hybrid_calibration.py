@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from greybox.commands.missing_effect import ERRORS, SIGMA
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.estimation.fit import fit
 from greybox.excitation.circle import Circle
@@ -42,8 +43,6 @@ from greybox.validation.result import Validation
 from greybox.validation.validate import validate
 
 KNOWN = ("motor_lag", "command_delay", "rotor_drag", "rotational_damping")
-SIGMA = {"inertia": 0.2, "thrust.c2": 0.2, "torque.c2": 0.3}
-ERRORS = {"inertia": 1.1, "thrust.c2": 0.9, "torque.c2": 1.1}
 EXCITATION = 0.4
 TARGETS = {1: (0.93, 0.97), 10: (0.90, 0.98), 50: (0.90, 0.98)}
 """Horizon in samples -> band for the coverage of the 95 % ellipsoids."""

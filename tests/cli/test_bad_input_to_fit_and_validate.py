@@ -178,6 +178,8 @@ def test_fit_then_validate_on_another_flight(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(files)
+    doubt = "doubtful: no body has these moments"
+    monkeypatch.setattr("greybox.commands.fit._sanity_lines", lambda result: [doubt])
     out = tmp_path / "out"
     code = main(
         ["fit", "--vehicle", "v.toml", "--train", "a.csv", "--test", "b.csv", "--effects",
@@ -188,7 +190,9 @@ def test_fit_then_validate_on_another_flight(
     assert fit["schema"] == "greybox.fit/1"
     assert fit["status"]["converged"]
     assert abs(fit["parameters"]["motor_lag.tau"]["value"] - 0.05) < 0.005
-    assert "<html" in (out / "report.html").read_text()
+    page = (out / "report.html").read_text()
+    assert "<html" in page
+    assert doubt in page and doubt in capsys.readouterr().out
     for name in ("fit", "model", "validate"):
         schema = json.loads(resources.files("greybox.schemas").joinpath(f"{name}.json").read_text())
         jsonschema.validate(json.loads((out / f"{name}.json").read_text()), schema)

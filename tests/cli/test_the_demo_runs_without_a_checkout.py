@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from greybox.cli import main
-from greybox.commands import demo
+from greybox.commands import demo, missing_effect
 
 
 @pytest.mark.parametrize(
@@ -26,6 +27,8 @@ def test_its_exit_code_is_that_of_what_it_ran(
         return codes[len(typed) - 1]
 
     monkeypatch.setattr(demo, "_command", command)
+    # Nothing looks at these flights here: a second of them says as much as sixteen.
+    monkeypatch.setattr(missing_effect, "write_story", partial(missing_effect.write_story, seconds=1.0))
     assert main(["demo", "--out", str(tmp_path / "d")]) == code
     assert [words[0] for words in typed] == ["check", "fit", "discover"][:ran]
     assert all(Path(w).exists() for words in typed for w in words if w.endswith((".gz", ".toml", ".csv")))

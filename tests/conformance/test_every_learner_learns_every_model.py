@@ -26,7 +26,7 @@ from mpc_export.bundle import write_bundle
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
 from tests.mpc_export import compiled
-from tests.mpc_export.predictor_cases import CHANNELS, DT, axes
+from tests.mpc_export.predictor_cases import CHANNELS, DT, axes, body
 
 FEATURES = ("p", "u1[t-1]", "u2[t-1]")
 NOISE = 0.02
@@ -35,22 +35,14 @@ SHOWN = ("ensemble", "linear SISO")
 
 def coupled() -> BasePredictor:
     """Two states that drive each other, in innovation form."""
-    model = LinearModel(
-        name="body",
-        matrices=Matrices(
+    model = body(
+        Matrices(
             np.array([[0.9, 0.05], [-0.1, 0.8]]),
             np.array([[0.4, 0.1], [-0.1, 0.5]]),
             np.eye(2),
             np.zeros((2, 2)),
             np.array([[0.3, 0.0], [0.1, 0.2]]),
-        ),
-        noise=np.array([[4e-3, 1e-3], [1e-3, 9e-3]]),
-        dt=DT,
-        inputs=Layout([Signal(name="roll", unit="1"), Signal(name="pitch", unit="1")]),
-        outputs=Layout([Signal(name="p", unit="rad/s"), Signal(name="q", unit="rad/s")]),
-        delays=(1, 3),
-        input_offset=np.array([0.1, -0.1]),
-        output_offset=np.array([0.05, 0.0]),
+        )
     )
     return BasePredictor(model=model, outputs=("p", "q"), channels=CHANNELS)
 

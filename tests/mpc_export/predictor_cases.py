@@ -87,9 +87,14 @@ def mimo() -> LinearModel:
         np.zeros((2, 2)),
         0.1 * rng.normal(size=(2, 2)),
     )
+    return body(m)
+
+
+def body(matrices: Matrices) -> LinearModel:
+    """A model of two channels with different delays and two outputs whose noise is correlated."""
     return LinearModel(
         name="body",
-        matrices=m,
+        matrices=matrices,
         noise=np.array([[4e-3, 1e-3], [1e-3, 9e-3]]),
         dt=DT,
         inputs=Layout([Signal(name="roll", unit="1"), Signal(name="pitch", unit="1")]),
