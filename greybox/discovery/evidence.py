@@ -26,7 +26,7 @@ from greybox.estimation.engine import engine_for
 from greybox.estimation.fit import Fit, fit
 from greybox.estimation.initialisation import noise_start
 from greybox.estimation.options import FitOptions
-from greybox.estimation.problem import Problem, Value, few_samples, make_problem
+from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solver import Objective, Progress
 from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
 from greybox.estimation.status import Code, Status
@@ -251,12 +251,11 @@ class Flights:
     def prepare(self, structures: Iterable[Structure]) -> None:
         """Build the steps that fits of these structures need, side by side: compilers are
         processes."""
-        quick = few_samples(self.data)
 
         def build(structure: Structure) -> None:
             model = self.causes.built(sorted(structure))
             wanted = set(choices(self.causes, self.options, structure).free or ())
-            engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted), quick=quick)
+            engine_for(model, tuple(d.name for d in model.parameters if d.name in wanted))
 
         with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
             list(pool.map(build, structures))

@@ -17,7 +17,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from greybox.distribution import install_line
@@ -29,7 +29,7 @@ Source = tuple[str, str, Sequence[str]]
 
 MODEL_FLAGS = ("-O1", "-fPIC", "-w")
 """Straight-line generated code: -O1 is about as fast as -O2 and compiles several times quicker."""
-SHARED = frozenset({"gb_driver.c", "gb_ekf.c"})
+SHARED = frozenset({"gb_driver.c", "gb_ekf.c", "gb_tape.c"})
 """Hand-written sources, compiled once for all models."""
 DRIVER_FLAGS = ("-O3", "-march=native", "-fPIC", "-w")
 
@@ -101,21 +101,10 @@ def _library(cc: Command, sources: Sequence[Source], link: Sequence[str]) -> str
     return key_of(_compiled_for(cc, every), *parts, " ".join(link))
 
 
-def build(
-    sources: Sequence[Source],
-    rewrite: Mapping[str, Callable[[str], str]] | None = None,
-    *,
-    link: Sequence[str] = (),
-    instead: Mapping[str, Sequence[str]] | None = None,
-) -> Path:
+def build(sources: Sequence[Source], *, link: Sequence[str] = ()) -> Path:
     """Shared library of C sources [(name, text, flags)] linked with the flags `link`.
 
-    Where it is not in the cache, flags of the sources named in `instead` are replaced by these.
-
     Raises `BuildError` with the compiler's first complaint.
-
-    `rewrite` turns the text of a named source into what is compiled. The key of the cache is the text before it, so
-    that nothing is rewritten when the library is there.
     """
     cc = compiler()
     if cc is None:
@@ -123,14 +112,9 @@ def build(
     key = _library(cc, sources, link)
     if (found := find(key, ".so")) is not None:
         return found
-    if instead:
-        sources = [(name, text, instead.get(name, flags)) for name, text, flags in sources]
-        key = _library(cc, sources, link)
-        if (found := find(key, ".so")) is not None:
-            return found
     try:
         with tempfile.TemporaryDirectory(dir=cache_dir(), prefix="build-") as folder:
-            objects = _objects(cc, sources, rewrite or {}, Path(folder))
+            objects = _objects(cc, sources, Path(folder))
             library = Path(folder) / "out.so"
             _run([*cc, "-shared", "-o", str(library), *map(str, objects), *link, "-lm"], cc)
             return keep(key, library, ".so")
@@ -142,9 +126,7 @@ def build(
         ) from None
 
 
-def _objects(
-    cc: Command, sources: Sequence[Source], rewrite: Mapping[str, Callable[[str], str]], folder: Path
-) -> list[Path]:
+def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]:
     """Object files of the sources, compiled side by side; those written by hand come from the cache."""
     objects: list[Path] = []
     running: list[tuple[subprocess.Popen[str], int, str | None]] = []
@@ -154,7 +136,7 @@ def _objects(
             objects.append(found)
             continue
         path = folder / name
-        path.write_text(rewrite.get(name, str)(text))
+        path.write_text(text)
         command = [*cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace")
         running.append((process, len(objects), key))
@@ -179,18 +161,13 @@ def _failed(cc: Command, code: int, complaint: str) -> BuildError:
     return BuildError(f"the C compiler failed: {first.strip()}", where=" ".join(cc))
 
 
-def opened(
-    sources: Sequence[Source],
-    rewrite: Mapping[str, Callable[[str], str]] | None = None,
-    *,
-    instead: Mapping[str, Sequence[str]] | None = None,
-) -> ctypes.CDLL | None:
+def opened(sources: Sequence[Source]) -> ctypes.CDLL | None:
     """The library of `build`, loaded; None where that cannot be, which is said once and kept in
     `trouble`: the caller then goes on in CasADi's VM."""
     if compiler() is None:
         return None
     try:
-        path = build(sources, rewrite, instead=instead)
+        path = build(sources)
         try:
             return ctypes.CDLL(str(path))
         except OSError as error:

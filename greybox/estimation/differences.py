@@ -137,12 +137,14 @@ def widened(
         alike = {r: np.array([r.example(i, block.pattern == g) for g in groups]) for r in {runner, other}}
         there = [(j, c[i], runners[j]) for j, c in enumerate(columns)]
         moved = [(j, c, r) for j, c, r in there if c is not None]
+        added_slopes = [c.covariance(alike[r]) for _, c, r in moved]  # (n_pat, n_e, n_e) each
         blocks.append(
             replace(
                 block,
                 jacobian=np.concatenate([block.jacobian, *(c.innovations[:, :, None] for _, c, _ in moved)], axis=2),
-                covariance_slope=np.concatenate(
-                    [block.covariance_slope, *(c.covariance(alike[r])[:, None] for _, c, r in moved)], axis=1
+                covariance_slope=tuple(
+                    np.concatenate([_padded(known, block.columns.size), *(new[None, g] for new in added_slopes)])
+                    for g, known in enumerate(block.covariance_slope)
                 ),
                 columns=np.concatenate([block.columns, small.n + np.array([j for j, _, _ in moved], dtype=np.intp)]),
             )
@@ -150,6 +152,11 @@ def widened(
     thresholds = frozenset(runner.thresholds | other.thresholds)
     wide = replace(small, unknowns=(*small.unknowns, *added), predictor=Given(given=blocks), thresholds=thresholds)
     return wide, np.concatenate([theta, [u.start for u in added]])
+
+
+def _padded(slopes: FloatArray, n: int) -> FloatArray:
+    """Slopes (n_k, n_e, n_e) with zeros for the columns after theirs, (n, n_e, n_e)."""
+    return np.concatenate([slopes, np.zeros((n - len(slopes), *slopes.shape[1:]))])
 
 
 def _unknown(d: Parameter, null: float, flight: str | None) -> Unknown:

@@ -1,8 +1,9 @@
 """Engine: one step of a Dynamics with its exact sensitivities, compiled to C, and the recursions
 over a record.
 
-The step is linearised symbolically in the error state (SX, sparse), generated as C and driven by a
-small hand-written loop (driver.c) that carries the sensitivities S = d(error state)/d(parameters).
+The step is linearised symbolically in the error state (SX, sparse). The step itself is generated as C, its
+linearisation is a tape (`greybox.estimation.tape`); both are driven by a small hand-written loop (driver.c)
+that carries the sensitivities S = d(error state)/d(parameters).
 Without a C compiler the same functions run in CasADi's VM under the same recursion in NumPy: the
 same numbers, slower. The file is long because both are one recursion, and are read side by side.
 """
@@ -20,9 +21,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from greybox.errors import UnknownNameError
-from greybox.estimation import lanes
+from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
+from greybox.estimation.cache import say
+from greybox.estimation.tape import Linear, tape_of
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, Expr, FloatArray
 
@@ -50,15 +52,15 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
-    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative (n_pat,
-    n_d, n_e, n_s) or None.
+    """Correction per pattern of missing channels: gain (n_pat, n_d, n_e), its derivative per pattern (n_k, n_d, n_e)
+    in the first n_k columns of the sensitivities, or None.
 
     `zero[i]` true: pattern i corrects nothing (pure simulation).
     """
 
     gain: FloatArray
     zero: IntArray
-    derivative: FloatArray | None = None
+    derivative: tuple[FloatArray, ...] | None = None
 
 
 class Samples(TypedDict):
@@ -149,8 +151,7 @@ class Engine:
     `compiled` says which of the two it is. Engines are cached per model structure by `engine_for`.
     One that is not `sensitive` runs without sensitivities only: a large model is then built several
     times quicker. `built` are the parameters that sensitivities were built for, of which `active`
-    are carried: the ones at `columns` (see `select`). `quick` takes sensitivities that are compiled
-    five times quicker and run at half the speed, for few samples; the numbers are the same.
+    are carried: the ones at `columns` (see `select`).
     """
 
     def __init__(
@@ -160,7 +161,6 @@ class Engine:
         *,
         use_compiler: bool = True,
         sensitive: bool = True,
-        quick: bool = False,
     ) -> None:
         with CASADI:
             self.dynamics = dynamics
@@ -180,7 +180,7 @@ class Engine:
             self._functions()
         self._library: Any = None
         if use_compiler and compiler() is not None:
-            self._compile(quick)
+            self._compile()
 
     def select(self, active: tuple[str, ...]) -> Engine:
         """The same engine with the sensitivities of some of its parameters only: nothing is built
@@ -245,29 +245,27 @@ class Engine:
         self.move = ca.Function("gb_move", [z, k], [ca.densify(moved)])
         self.turn = ca.Function("gb_turn", [z, k], [j1, j2])
 
-    def _compile(self, quick: bool) -> None:
-        text = {}
+    def _compile(self) -> None:
         with CASADI:
-            for name, functions in {
-                "gb_model": (self.value, self.pred, self.move),
-                "gb_slopes": (self.slope, self.turn),
-            }.items():
-                generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
-                for f in functions:
-                    generator.add(f)
-                text[name] = generator.dump()
-                del generator
-        driver = resources.files("greybox.estimation").joinpath("driver.c").read_text()
+            generator = ca.CodeGenerator("gb_model.c", {"with_header": False})
+            for f in (self.value, self.move):
+                generator.add(f)
+            text = generator.dump()
+            del generator
+        own = resources.files("greybox.estimation")
         library = opened(
             [
-                ("gb_model.c", text["gb_model"], MODEL_FLAGS),
-                ("gb_slopes.c", lanes.PRELUDE + text["gb_slopes"], lanes.FLAGS),
-                ("gb_driver.c", driver, (*DRIVER_FLAGS, f"-DLANES={lanes.LANES}")),
-            ],
-            rewrite={"gb_slopes.c": lanes.rewrite} if self.sensitive else None,
-            instead={"gb_slopes.c": lanes.QUICK_FLAGS} if quick else None,
+                ("gb_model.c", text, MODEL_FLAGS),
+                *((f"gb_{n}.c", own.joinpath(f"{n}.c").read_text(), DRIVER_FLAGS) for n in ("driver", "tape")),
+            ]
         )
         if library is None:
+            return
+        try:
+            with CASADI:
+                self._slope, self._turn = (Linear(f, tape_of(f)) for f in (self.slope, self.turn))
+        except ModelError as error:
+            say(f"{error}; CasADi's VM runs the same equations, slower")
             return
         library.gb_buffer.restype = ctypes.c_longlong
         sizes = [ctypes.c_longlong() for _ in range(4)]
@@ -351,25 +349,30 @@ class Engine:
         bad = self._run_c(one) if self.compiled else self._run_vm(one)
         return Run(**out, end=one.x, end_sensitivity=one.s, failed_at=None if bad == 0 else bad - 1)
 
-    def _scratch(self, ns: int) -> tuple[Any, Any, Any, Any, Any]:
+    def _scratch(self, ns: int, nk: int = 0) -> tuple[Any, Any, Any, Any, Any]:
         a, r, i, w = self._work
-        length = int(self._library.gb_buffer(self.nx, self.nd, self.ne, self.ny, max(ns, 1)))
+        sizes = self.nx, self.nd, self.ne, self.ny, max(ns, 1), nk
+        length = int(self._library.gb_buffer(*sizes, *self._tapes))
         return (
             (ctypes.c_void_p * a)(),
             (ctypes.c_void_p * r)(),
             (ctypes.c_longlong * i)(),
             (ctypes.c_double * w)(),
-            np.zeros(length),
+            np.empty(length),
         )
+
+    @property
+    def _tapes(self) -> tuple[Any, Any]:
+        return ctypes.byref(self._slope.carrier), ctypes.byref(self._turn.carrier)
 
     def _run_c(self, one: _Pass) -> int:
         ns, gains, out = one.ns, one.gains, one.out
-        arg, res, iw, w, buffer = self._scratch(ns)
+        slopes = [np.ascontiguousarray(v) for v in gains.derivative or ()] if ns else []
+        nk = len(slopes[0]) if slopes else 0
+        arg, res, iw, w, buffer = self._scratch(ns, nk)
         gain = np.ascontiguousarray(gains.gain)
         zero = np.ascontiguousarray(gains.zero, dtype=np.int32)
-        slope = (
-            None if gains.derivative is None or not ns else np.ascontiguousarray(gains.derivative)
-        )
+        pointers = (ctypes.c_void_p * len(slopes))(*(v.ctypes.data for v in slopes)) if nk else None
         return int(
             self._library.gb_run(
                 one.n,
@@ -379,6 +382,8 @@ class Engine:
                 self.ny,
                 self.nu,
                 ns,
+                nk,
+                *self._tapes,
                 _ptr(one.x),
                 _ptr(one.s),
                 _ptr(one.u),
@@ -389,7 +394,7 @@ class Engine:
                 ctypes.c_double(one.dt),
                 _ptr(gain),
                 _ptr(zero),
-                _ptr(slope),
+                pointers,
                 _ptr(out["states"]),
                 _ptr(out["innovations"]),
                 _ptr(out["outputs"]),
@@ -441,7 +446,8 @@ class Engine:
                 if s is not None:
                     push = gains.gain[g] @ de
                     if gains.derivative is not None:
-                        push += np.einsum("ijs,j->is", gains.derivative[g], e)
+                        slope = gains.derivative[g]
+                        push[:, : len(slope)] += (slope @ e).T
                     s[:] = j1.full() @ moved + j2.full() @ push
             if not np.isfinite(x).all():
                 return 1 + t
@@ -477,14 +483,12 @@ class Engine:
         p = np.ascontiguousarray(p, dtype=np.float64)
         e = np.zeros((kept, self.ne))
         de = None if s is None else np.zeros((kept, self.ne, ns))
-        pattern, one = np.zeros(longest, dtype=np.int32), np.ones(1, dtype=np.int32)
         bad = 0
         if self.compiled:
             arg, res, iw, w, buffer = self._scratch(ns)
             first, length, tail = (
                 np.ascontiguousarray(v, dtype=np.int32) for v in (rows, lengths, tails)
             )
-            e_one, de_one = np.zeros((longest, self.ne)), np.zeros((longest, self.ne, max(ns, 1)))
             bad = int(
                 self._library.gb_windows(
                     m,
@@ -497,6 +501,7 @@ class Engine:
                     self.ny,
                     self.nu,
                     ns,
+                    *self._tapes,
                     _ptr(x),
                     _ptr(s),
                     _ptr(u),
@@ -506,10 +511,6 @@ class Engine:
                     ctypes.c_double(dt),
                     _ptr(e),
                     _ptr(de),
-                    _ptr(e_one),
-                    _ptr(de_one),
-                    _ptr(pattern),
-                    _ptr(one),
                     _ptr(self._place),
                     arg,
                     res,
@@ -519,6 +520,7 @@ class Engine:
                 )
             )
         else:
+            pattern, one = np.zeros(longest, dtype=np.int32), np.ones(1, dtype=np.int32)
             none = GainTable(gain=np.zeros((1, self.nd, self.ne)), zero=one)
             width, at = self.past + self.future, 0
             for i in range(m):
@@ -624,10 +626,8 @@ def engine_for(
     *,
     use_compiler: bool = True,
     sensitive: bool = True,
-    quick: bool = False,
 ) -> Engine:
-    """The engine of a model and a set of active parameters, built once per process; see `Engine`
-    for `quick`.
+    """The engine of a model and a set of active parameters, built once per process.
 
     One that is there already with more parameters serves: those that were not asked for are not
     carried.
@@ -647,9 +647,7 @@ def engine_for(
         shelf[key] = (
             min(larger, key=lambda e: len(e.active)).select(active)
             if larger
-            else Engine(
-                dynamics, active, use_compiler=use_compiler, sensitive=sensitive, quick=quick
-            )
+            else Engine(dynamics, active, use_compiler=use_compiler, sensitive=sensitive)
         )
     return shelf[key]
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from greybox.data import Segment
 from greybox.errors import FitError
 from greybox.estimation.engine import Engine, engine_for
-from greybox.estimation.gain import Linearisation, Riccati
+from greybox.estimation.gain import Riccati, linearisation_anywhere
 from greybox.estimation.lost_commands import lost_commands
 from greybox.estimation.record import Record, make_record
 from greybox.estimation.settling import RecordGains, Settling
@@ -52,7 +52,7 @@ class Filtered:
 
 def at_reference(model: IdentifiedModel) -> tuple[FloatArray, ...]:
     """(A, G, C, D) of the model at its reference point, as in greybox.estimation.gain."""
-    return Linearisation(model.dynamics, ()).values(
+    return linearisation_anywhere(model.dynamics).values(
         model.reference_state, _reference_window(model), model.parameter_vector(), model.sample_time
     )
 

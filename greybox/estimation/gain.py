@@ -29,7 +29,7 @@ import numpy.typing as npt
 from greybox.errors import FitError
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import lost_bits
-from greybox.estimation.reference_point import Fixed, ReferenceStep, once_per_model, unchanging
+from greybox.estimation.reference_point import Fixed, once_per_model, reference_step, unchanging
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -46,7 +46,7 @@ class Linearisation:
             self._build(dynamics, active, fixed)
 
     def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
-        at = ReferenceStep(dynamics, fixed)
+        at = reference_step(dynamics, fixed)
         a = at.out @ ca.jacobian(at.after, at.x) @ at.into
         g = at.out @ ca.jacobian(at.after, at.w)
         c, d = -(ca.jacobian(at.e, at.x) @ at.into), -ca.jacobian(at.e, at.w)
@@ -95,6 +95,11 @@ class Linearisation:
 _built = once_per_model(Linearisation)
 
 
+def linearisation_anywhere(dynamics: Dynamics) -> Linearisation:
+    """The linearisation of a model for any state, without derivatives, built once per process."""
+    return _built(dynamics, (), ())
+
+
 def linearisation_at(
     dynamics: Dynamics, active: tuple[str, ...], x: FloatArray, other: FloatArray
 ) -> Linearisation:
@@ -118,8 +123,8 @@ class _Arrival:
 
 @dataclass(frozen=True, kw_only=True)
 class GainRow:
-    """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_d, n_e,
-    n_s), dS (n_s, ...)."""
+    """Gain K (n_d, n_e) and innovation covariance S (n_e, n_e) of some channels, with dK (n_s, n_d,
+    n_e), dS (n_s, ...)."""
 
     K: FloatArray
     S: FloatArray
@@ -209,8 +214,7 @@ class Riccati:
         key = there.tobytes()
         if key not in self._rows:
             k, s, dk, ds = self.gain(there)
-            turned = None if dk is None else np.ascontiguousarray(np.moveaxis(dk, 0, -1))
-            self._rows[key] = GainRow(K=k, S=s, dK=turned, dS=ds)
+            self._rows[key] = GainRow(K=k, S=s, dK=dk, dS=ds)
         return self._rows[key]
 
     def gain(
@@ -226,19 +230,19 @@ class Riccati:
         bits = int(lost_bits(np.asarray(there)).max(initial=0)) & self._felt
         if bits:
             return self._after_lost(bits).gain(m)
-        ne = m.size
-        s = np.eye(ne)
-        s[np.ix_(m, m)] = self.S[np.ix_(m, m)]
-        k = np.zeros_like(self.N)
+        if m.all() and self.dN is not None and self.dS is not None:
+            k, dk = _gain(self.N, self.S, self.dN, self.dS)
+            return k, self.S, dk, self.dS
+        at = np.flatnonzero(m)
+        square = np.ix_(at, at)
+        s, k = np.eye(m.size), np.zeros_like(self.N)
+        s[square] = self.S[square]
         if self.dN is None or self.dS is None:
-            k[:, m] = _gain(self.N[:, m], s[np.ix_(m, m)])[0]
+            k[:, at] = _gain(self.N[:, at], s[square])[0]
             return k, s, None, None
-        ds = np.zeros_like(self.dS)
-        ds[:, m[:, None] & m[None, :]] = self.dS[:, m[:, None] & m[None, :]]
-        dk = np.zeros_like(self.dN)
-        k[:, m], dk[:, :, m] = _gain(
-            self.N[:, m], s[np.ix_(m, m)], self.dN[:, :, m], ds[:, m][:, :, m]
-        )
+        inner, ds, dk = self.dS[:, at[:, None], at], np.zeros_like(self.dS), np.zeros_like(self.dN)
+        ds[:, at[:, None], at] = inner
+        k[:, at], dk[:, :, at] = _gain(self.N[:, at], s[square], self.dN[:, :, at], inner)
         return k, s, dk, ds
 
 

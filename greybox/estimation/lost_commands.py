@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.estimation.record import REACH, Record
-from greybox.estimation.reference_point import Fixed, ReferenceStep, once_per_model, unchanging
+from greybox.estimation.reference_point import Fixed, once_per_model, reference_step, unchanging
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, FloatArray
 
@@ -85,7 +85,7 @@ class LostCommands:
             self._build(dynamics, active, fixed)
 
     def _build(self, dynamics: Dynamics, active: tuple[str, ...], fixed: Fixed) -> None:
-        at = ReferenceStep(dynamics, fixed)
+        at = reference_step(dynamics, fixed)
         commands = ca.vec(at.window)
         parts = at.at_rest([at.out @ ca.jacobian(at.after, commands), -ca.jacobian(at.e, commands)])
         parts = [ca.sparsify(v) for v in parts]

@@ -33,14 +33,10 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.parameter import Parameter, ParameterValues
 from greybox.symbolic import BoolArray, FloatArray, Layout
 
-__all__ = ["Block", "IndexArray", "Problem", "Unknown", "Value", "few_samples", "make_problem"]
+__all__ = ["Block", "IndexArray", "Problem", "Unknown", "Value", "make_problem"]
 _S = TypeVar("_S")
 _T = TypeVar("_T")
 _P = TypeVar("_P")
-FEW = 60_000
-"""Samples below which sensitivities are compiled without optimisation: a dozen passes over them
-cost less than it takes."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
@@ -269,11 +265,6 @@ class Problem:
                 yield ahead.popleft().result()
 
 
-def few_samples(dataset: Dataset) -> bool:
-    """Whether a fit takes less time than the compiler needs to make it faster."""
-    return sum(s.n for f in dataset.flights for s in f.segments) < FEW
-
-
 def make_problem(
     dynamics: Dynamics,
     dataset: Dataset,
@@ -320,7 +311,7 @@ def make_problem(
     wanted = {*chosen, *known(o.build or ()), *known(o.considered)}
     built = tuple(d.name for d in dynamics.parameters if d.name in wanted)
     engine = engine_for(
-        dynamics, built, use_compiler=o.use_compiler, quick=few_samples(dataset)
+        dynamics, built, use_compiler=o.use_compiler
     ).select(tuple(chosen))
     records = make_records(engine, dataset)
     flights = tuple(f.name for f in dataset.flights)

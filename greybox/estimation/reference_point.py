@@ -66,3 +66,11 @@ def once_per_model(
             return build(dynamics, active, fixed)
 
     return built
+
+
+_steps = once_per_model(lambda dynamics, _, fixed: ReferenceStep(dynamics, fixed))
+
+
+def reference_step(dynamics: Dynamics, fixed: Fixed) -> ReferenceStep:
+    """The step of a model, built once per process."""
+    return _steps(dynamics, (), fixed)

@@ -102,9 +102,8 @@ class RecordGains:
     rows: tuple[tuple[int, FloatArray], ...]
     pattern: IntArray
 
-    def tables(self, extra: int = 0) -> tuple[GainTable, FloatArray, FloatArray | None]:
-        """(gains, covariances (n_row, n_e, n_e), their slopes) with `extra` columns of zero slope
-        appended."""
+    def tables(self) -> tuple[GainTable, FloatArray, tuple[FloatArray, ...] | None]:
+        """(gains, covariances (n_row, n_e, n_e), their slopes per row (n_s, n_e, n_e))."""
         parts = [self.solutions[i].row(there) for i, there in self.rows]
         k = np.array([v.K for v in parts])
         s = np.array([v.S for v in parts])
@@ -112,10 +111,7 @@ class RecordGains:
         slopes = [(v.dK, v.dS) for v in parts if v.dK is not None and v.dS is not None]
         if not slopes:
             return GainTable(gain=k, zero=zero), s, None
-        dk, ds = np.array([v[0] for v in slopes]), np.array([v[1] for v in slopes])
-        if extra:
-            dk = np.concatenate([dk, np.zeros((*dk.shape[:3], extra))], axis=3)
-            ds = np.concatenate([ds, np.zeros((ds.shape[0], extra, *ds.shape[2:]))], axis=1)
+        dk, ds = zip(*slopes, strict=True)
         return GainTable(gain=k, zero=zero, derivative=dk), s, ds
 
     @property

@@ -65,7 +65,7 @@ def test_compiled_c_runs_the_same_filter_as_the_virtual_machine(effect):
     gain = GainTable(
         gain=mild * rng.normal(size=shape),
         zero=np.zeros(1, dtype=np.int32),
-        derivative=mild * rng.normal(size=(*shape, len(active))),
+        derivative=tuple(mild * rng.normal(size=(shape[0], len(active), *shape[1:]))),
     )
     want = frozenset({"states", "innovations", "outputs", "sensitivity", "state_sensitivity"})
     compiled, plain = (

@@ -164,7 +164,7 @@ def test_sensitivity_through_the_gain_is_the_central_difference(medium):
     """A noise level moves nothing but the gain: its column lives on dK alone."""
     engine, scene = medium
     na = len(engine.active)
-    derivative = np.concatenate([np.zeros((*scene.gain.shape, na)), scene.noise_gain[..., None]], axis=3)
+    derivative = tuple(np.concatenate([np.zeros((na, *g.shape)), g[None]]) for g in scene.noise_gain)
     run = scene.run(engine, s0=np.zeros((engine.nd, na + 1)), derivative=derivative)
     h = 1e-4
     ahead, behind = (scene.run(engine, noise=s * h).innovations for s in (1, -1))

@@ -157,22 +157,24 @@ class Gaussian:
             flat = (jz if plain else jz * np.sqrt(weight)[:, :, None]).reshape(-1, ns)
             hessian += flat.T @ flat
             flat_m = None
+            k = 0
             if b.covariance_slope is not None:
-                m = inverse @ b.covariance_slope[g] @ inverse.T  # (n_s, n_e, n_e)
-                flat_m = m.reshape(ns, -1)
-                hessian += 0.5 * at.size * flat_m @ flat_m.T
+                m = inverse @ b.covariance_slope[g] @ inverse.T  # (n_k, n_e, n_e)
+                k = len(m)
+                flat_m = m.reshape(k, -1)
+                hessian[:k, :k] += 0.5 * at.size * flat_m @ flat_m.T
                 # dL = L (lower triangle of m, half its diagonal); for the Gaussian loss both triangles add up to m / 2.
-                half = 0.5 * flat_m if plain else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(ns, -1)
+                half = 0.5 * flat_m if plain else (np.tril(m, -1) + 0.5 * m * np.eye(m.shape[1])).reshape(k, -1)
             there = np.diag((b.mask[at[0]] != 0).astype(float))
             if scores is None:
                 gradient += jz.reshape(-1, ns).T @ pull.ravel()
                 if flat_m is not None:
-                    gradient -= half @ (pull.T @ z - at.size * there).ravel()
+                    gradient[:k] -= half @ (pull.T @ z - at.size * there).ravel()
                 continue
             per_sample = np.matmul(pull[:, None, :], jz)[:, 0]
             if flat_m is not None:
                 outer = pull[:, :, None] * z[:, None, :] - there
-                per_sample = per_sample - outer.reshape(at.size, -1) @ half.T
+                per_sample[:, :k] -= outer.reshape(at.size, -1) @ half.T
             gradient += per_sample.sum(axis=0)
             np.add.at(table, at // size, per_sample)
         return cost, gradient, hessian, table

@@ -75,7 +75,7 @@ class StationaryGain(Predictor[Prepared_co]):
             pattern = filters[i].pattern
             x, moved = problem.start_of(theta, i)
             initial = problem.initial_columns(i)
-            gains, covariance, slope = filters[i].tables(initial.size)
+            gains, covariance, slope = filters[i].tables()
             columns = np.concatenate([problem.local_columns(record.flight), noise_columns, initial])
             s: FloatArray | None = None
             if jacobian:

@@ -68,7 +68,7 @@ class KStep(Predictor[InnovationPrepared]):
         def work(i: int) -> Block:
             record = problem.records[i]
             x0, s0, columns = start_of(problem, theta, i)
-            gains, _, _ = filters[i].tables(problem.initial_columns(i).size)
+            gains, _, _ = filters[i].tables()
             p = problem.parameters_of(theta, record.flight)
             passed = engine.run(
                 x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=filters[i].pattern,

@@ -70,7 +70,7 @@ class MultiStep(Predictor[InnovationPrepared]):
             length = min(int(chosen[-1]) + 1, record.n)
             at = chosen[chosen < length]
             x0, s0, columns = start_of(problem, theta, i)
-            gains, _, _ = filters[i].tables(problem.initial_columns(i).size)
+            gains, _, _ = filters[i].tables()
             p = problem.parameters_of(theta, record.flight)
             passed = engine.run(
                 x0=x0, inputs=record.inputs, outputs=record.outputs, mask=record.mask, pattern=filters[i].pattern,

@@ -21,7 +21,7 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.estimation.filtering import Filter, Filtered
-from greybox.estimation.gain import Linearisation
+from greybox.estimation.gain import Linearisation, linearisation_anywhere
 from greybox.model.identified import IdentifiedModel
 from greybox.residual.discrepancy import feature_function, smoothed_features
 from greybox.residual.laws.lagged import remembered_terms
@@ -92,7 +92,7 @@ def library(
     The innovations are those of `model`: a filter with disturbance states takes most of a slow law for noise.
     """
     plain, runner = Filter(model), Filter(disturbed)
-    lin = Linearisation(model.dynamics, ())
+    lin = linearisation_anywhere(model.dynamics)
     look = feature_function(disturbed.dynamics, names)
     rows = [disturbed.dynamics.states.names.index(f"disturbance.{axis}") for axis in axes]
     segments = [(f.name, s) for f in data for s in f.segments]
