@@ -443,6 +443,7 @@ def _declared(
 ) -> Unknown:
     mean, sigma = prior if prior is not None else (d.nominal, d.sigma)
     start = min(max(value, d.lower), d.upper)
+    own = 0.0 if d.origin is None and d.lower >= 0 else d.origin
     return Unknown(
         name=d.name,
         kind="parameter",
@@ -454,4 +455,5 @@ def _declared(
         sigma=sigma if sigma > 0 else np.inf,
         scale=d.scale,
         unit=d.unit,
+        origin=np.nan if own is None else own,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -12,7 +13,8 @@ class Unknown:
 
     `start`, `lower` and `upper` are in the unit of the unknown (a noise level: in its natural
     logarithm), `mean` and `sigma` those of its Gaussian prior (sigma infinite: no prior), `scale`
-    is its typical size.
+    is its typical size. `origin` is the value at which the factor that it stands for vanishes
+    (mass: 0, a share on top of a mass: -1), not a number where it is none.
     """
 
     name: str
@@ -25,3 +27,4 @@ class Unknown:
     sigma: float
     scale: float
     unit: str
+    origin: float = math.nan

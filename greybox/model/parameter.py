@@ -19,7 +19,8 @@ class Parameter:
     `nominal` is the value where nothing else is said, `null` the value that removes the effect (None where there is
     no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior), `scale`
     the size of a typical change (for conditioning and for random starts), `possible` the largest distance from `null`
-    that a craft can have: more is a fault of the data, not a property of the vehicle.
+    that a craft can have: more is a fault of the data, not a property of the vehicle. `origin` is the value at
+    which the factor that it stands for vanishes; None: what cannot be negative is a factor of its own.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Parameter:
     sigma: float = math.inf
     scale: float = 1.0
     possible: float = math.inf
+    origin: float | None = None
     scope: Scope = "shared"
     meaning: str = ""
 

@@ -114,7 +114,7 @@ class Pulled:
 
     @property
     def unknowns(self):
-        return [SimpleNamespace(kind="parameter", name="inertia") for _ in self.goal]
+        return [SimpleNamespace(kind="parameter", name="inertia", origin=np.nan) for _ in self.goal]
 
     def inside(self, theta):
         return moved_inside([self.body], theta, self.lower, self.upper)

@@ -122,7 +122,7 @@ class Creeping:
     """cost x^2/2 with a Hessian that is fifty times too large: every step takes two per cent of the way."""
 
     lower, upper = np.array([-9.0]), np.array([9.0])
-    unknowns = (SimpleNamespace(kind="parameter"),)
+    unknowns = (SimpleNamespace(kind="parameter", origin=np.nan),)
 
     def evaluate(self, x, order=2):
         cost = 1e3 + 0.5 * float(x @ x)

@@ -61,7 +61,7 @@ class Quadratic:
         from types import SimpleNamespace
 
         self.true, self.told, self.asked = true, told, 0
-        self.unknowns = tuple(SimpleNamespace(kind="parameter") for _ in range(SIZE))
+        self.unknowns = tuple(SimpleNamespace(kind="parameter", origin=np.nan) for _ in range(SIZE))
         self.lower, self.upper = np.full(SIZE, -1e9), np.full(SIZE, 1e9)
 
     def evaluate(self, x: FloatArray, order: int = 2) -> Value:

@@ -38,8 +38,7 @@ class GaussNewton:
         evaluations, iteration, decrement = 1, 0, np.inf
         if not value.valid:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
-        level = is_level(problem)
-        fall = np.where(level, FALL, -np.inf)
+        fall = np.where(is_level(problem), FALL, -np.inf)
         code = Code.MAX_ITERATIONS
         try:
             for iteration in range(1, self.max_iterations + 1):
@@ -56,7 +55,7 @@ class GaussNewton:
                 share = 1.0
                 for _ in range(self.max_halvings):
                     part = np.clip(share * step, np.maximum(lower - x, fall), upper - x)
-                    new = np.clip(moved_by(x, part, level), lower, upper)
+                    new = moved_by(x, part, problem)
                     trial = problem.evaluate(new)
                     evaluations += 1
                     if trial.valid and trial.cost <= value.cost + SUFFICIENT * min(float(g @ (new - x)), 0.0):

@@ -1,7 +1,8 @@
 """Levenberg-Marquardt on exact sensitivities, with bounds by an active set.
 
 More 1978, The Levenberg-Marquardt algorithm: implementation and theory (scaled damping, gain ratio); bounds by an
-active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances (`moved_by`). What the
+active set on the quadratic model (`boxed_step`). Steps of noise levels are taken in their variances, those of
+factors in their logarithms (`moved_by`). What the
 Gauss-Newton Hessian leaves out is learned on the way (`greybox.estimation.solvers.curvature`).
 """
 
@@ -24,6 +25,9 @@ SHARES = (0.3, 0.1)
 NEAR = 1e-3
 """Predicted decrease below which a search that ran out of iterations has arrived: a twentieth of a standard error. Where the
 Gauss-Newton Hessian is not the true one, steps creep there for long."""
+
+GOOD = 0.75
+"""Part of the predicted decrease above which a step might have been longer."""
 
 POOR = 0.25
 """Part of the predicted decrease below which a step was too long."""
@@ -62,7 +66,7 @@ class LevenbergMarquardt:
             return x, Status(code=Code.INVALID_START, iterations=0, evaluations=1, decrement=np.inf)
         level = is_level(problem)
         fall = np.where(level, FALL, -np.inf)
-        damping = self.initial_damping if self.damped else 0.0
+        damping = np.full(x.size, self.initial_damping if self.damped else 0.0)
         decrement = np.inf
         code = Code.MAX_ITERATIONS
         iteration = 0
@@ -90,26 +94,26 @@ class LevenbergMarquardt:
                 moved = False
                 for _ in range(30):
                     taken = boxed_step(g, h, np.maximum(lower - x, fall), upper - x, damping)
-                    new = np.clip(moved_by(x, taken, level), lower, upper)
+                    new = moved_by(x, taken, problem)
                     predicted = -(g @ taken + 0.5 * taken @ h @ taken)
                     trial = problem.evaluate(new)
                     evaluations += 1
                     ratio = (value.cost - trial.cost) / predicted if trial.valid and predicted > 0 else -1.0
+                    kept = shares_kept(g, h, taken, trial, level, ratio)
                     if ratio > 1e-4:
                         moved = True
-                        if ratio > 0.75:
-                            damping = damping / 10 if damping > 1e-12 else 0.0
-                        elif ratio < POOR:
-                            damping = max(4 * damping, 1e-6)
+                        if ratio < POOR:
+                            damping = np.where(kept < POOR, np.maximum(4 * damping, 1e-6), damping)
                             new, trial, more = stepped_back(problem, x, g, new, trial)
                             evaluations += more
+                        damping = np.where(kept > GOOD, np.where(damping > 1e-12, damping / 10, 0.0), damping)
                         x, value = new, trial
                         break
                     if predicted < self.tolerance and abs(value.cost - trial.cost) < 1e-9 * max(abs(value.cost), 1.0):
                         break
                     # In a curved valley damping stalls; a part of the same step often gains most of it.
                     for share in SHARES:
-                        part = np.clip(moved_by(x, share * taken, level), lower, upper)
+                        part = moved_by(x, share * taken, problem)
                         gain = value.cost - problem.evaluate(part, 0).cost
                         evaluations += 1
                         if gain > 0.1 * share * float(-(g @ taken)) > 0:
@@ -117,9 +121,10 @@ class LevenbergMarquardt:
                             moved = trial.valid and trial.cost < value.cost
                             break
                     if moved:
+                        damping = np.where(kept > GOOD, damping / 10, damping)
                         x, value = part, trial
                         break
-                    damping = max(10 * damping, 1e-6)
+                    damping = np.where(kept < POOR, np.maximum(10 * damping, 1e-6), damping)
                 if not moved and h is not value.hessian:
                     curvature = Curvature(x.size)
                 elif not moved:
@@ -166,19 +171,56 @@ def stepped_back(
     return (back, nearer, 1) if nearer.valid and nearer.cost < there.cost else (new, there, 1)
 
 
+def shares_kept(
+    g: FloatArray, h: FloatArray, step: FloatArray, there: Value, level: BoolArray, ratio: float
+) -> FloatArray:  # fmt: skip
+    """Per unknown (n,), what came of the decrease that the step of its kind promised: noise levels, or all others. By the
+    slope where the step ended; `ratio`, that of the whole, where neither or no slope tells.
+
+    The two are orthogonal in the information of a Gaussian likelihood (Mardia and Marshall 1984, Biometrika 71(1)). Levels
+    whose Hessian is wrong must not damp what moves along a flat valley, nor the reverse.
+    """
+    out = np.full(g.size, ratio)
+    if there.valid and there.gradient is not None:
+        for part in (level, ~level):
+            own = np.where(part, step, 0.0)
+            promise = -float(own @ (g + 0.5 * (h @ step)))
+            if promise > 0:
+                out[part] = -0.5 * float(own @ (g + there.gradient)) / promise
+        if ratio < POOR and (out >= POOR).all():
+            out[:] = ratio
+    return out
+
+
 def is_level(problem: Objective) -> BoolArray:
     """Which unknowns (n,) are logarithms of noise levels."""
     return np.array([u.kind == "noise" for u in problem.unknowns], dtype=bool)
 
 
-def moved_by(x: FloatArray, step: FloatArray, level: BoolArray) -> FloatArray:
-    """x (n,) moved by a step (n,), the same to first order, in which the variances of noise, not the logarithms of its
-    levels (where `level` (n,) is true), are linear; steps of levels are above -1/2.
+def origins(problem: Objective) -> FloatArray:
+    """Where the factors vanish that the unknowns stand for (n,), see `Unknown`; not a number where they are none."""
+    return np.array([u.origin for u in problem.unknowns], dtype=np.float64)
 
-    A single level that is too small then needs one step of Fisher scoring, where in its logarithm a step overshoots; one
-    that is too large falls as fast as the steps are allowed to, not by a half in the logarithm.
+
+def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
+    """x (n,) moved by a step (n,), the same to first order, within the bounds, in coordinates that bend less.
+
+    The variances of noise, not the logarithms of its levels, are linear; steps of levels are above -1/2. A single level that
+    is too small then needs one step of Fisher scoring, where in its logarithm a step overshoots; one that is too large falls
+    as fast as the steps are allowed to, not by a half in the logarithm.
+
+    A factor moves by a factor, up to e: flights show ratios (thrust over mass), and what leaves all ratios as they are is a
+    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is.
     """
-    return x + np.where(level, 0.5 * np.log1p(2.0 * np.where(level, step, 0.0)), step)
+    lower, level = problem.lower, is_level(problem)
+    size = x - origins(problem)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = step / size
+        factor = (size > 0) & (np.abs(share) <= 1.0) & ((x - size < lower) | (x + step > lower))
+    moved = step.copy()
+    moved[factor] = size[factor] * np.expm1(share[factor])
+    moved[level] = 0.5 * np.log1p(2.0 * step[level])
+    return np.clip(x + moved, lower, problem.upper)
 
 
 def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
@@ -187,7 +229,7 @@ def newton_decrement(g: FloatArray, h: FloatArray, held: BoolArray) -> float:
     return max(-0.5 * float(g @ step), 0.0)
 
 
-def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, damping: float) -> FloatArray:
+def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, damping: float | FloatArray) -> FloatArray:
     """Minimiser of the damped quadratic model within low <= step <= high, by an active set.
 
     Unknowns that the step would carry past a bound stop there and the others are solved again; one that the new solution
@@ -215,7 +257,7 @@ def boxed_step(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray, 
     return np.clip(step, low, high)
 
 
-def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float) -> FloatArray:
+def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float | FloatArray) -> FloatArray:
     """-(H + damping diag H)^-1 g on the unknowns that are not held; directions without information do not move."""
     free = ~np.asarray(held, dtype=bool)
     step = np.zeros_like(g)
@@ -224,7 +266,7 @@ def damped_step(g: FloatArray, h: FloatArray, held: BoolArray, damping: float) -
     sub = h[np.ix_(free, free)]
     scale = np.sqrt(np.maximum(np.diag(sub), 1e-300))
     scaled = sub / np.outer(scale, scale)
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-13
+    scaled[np.diag_indices_from(scaled)] += np.broadcast_to(damping, g.shape)[free] + 1e-13
     rhs = -g[free] / scale
     try:
         factor = scipy.linalg.cho_factor(scaled, check_finite=False)

@@ -38,7 +38,8 @@ class PayloadMass(Effect):
         """mu [-], the load as a share of the mass."""
         return (
             Parameter(
-                name="mu", unit="-", nominal=0.0, lower=-0.5, upper=2.0, null=0.0, scale=0.1, meaning="load over mass"
+                name="mu", unit="-", nominal=0.0, lower=-0.5, upper=2.0, null=0.0, scale=0.1, origin=-1.0,
+                meaning="load over mass",
             ),
         )
 
