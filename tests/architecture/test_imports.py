@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -30,7 +31,8 @@ class Import(NamedTuple):
     typing_only: bool
 
 
-def imports(path: Path) -> Iterator[Import]:
+@functools.cache
+def imports(path: Path) -> tuple[Import, ...]:
     """Every import of a file: absolute module name, and whether it runs only inside a function or only for types."""
     package = list(path.relative_to(ROOT).with_suffix("").parts[:-1])
     modules = known_modules()
@@ -55,9 +57,10 @@ def imports(path: Path) -> Iterator[Import]:
                 function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
                 yield from visit(child, inside or function, typing_only)
 
-    yield from visit(ast.parse(path.read_text(encoding="utf-8")), False, False)
+    return tuple(visit(ast.parse(path.read_text(encoding="utf-8")), False, False))
 
 
+@functools.cache
 def known_modules() -> set[str]:
     """Dotted names of all modules and packages of this repository's packages."""
     names = set()
@@ -68,8 +71,9 @@ def known_modules() -> set[str]:
     return names
 
 
-def files(folder: str) -> list[Path]:
-    return sorted((ROOT / folder).rglob("*.py"))
+@functools.cache
+def files(folder: str) -> tuple[Path, ...]:
+    return tuple(sorted((ROOT / folder).rglob("*.py")))
 
 
 def within(module: str, package: str) -> bool:
