@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import shutil
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -59,10 +62,32 @@ def valid(path: Path) -> dict[str, Any]:
     return content
 
 
+@pytest.fixture(scope="module")
+def unnamed(files: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder of a search with nothing to name, and what it said."""
+    out = tmp_path_factory.mktemp("unnamed") / "found"
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.setattr(greybox.discovery.cause, "CATALOGUE", ())
+        assert main([*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]) == 0
+    return out, said.getvalue()
+
+
+def laws_in(folder: Path) -> list[Path]:
+    return sorted(folder.glob("proposal_*.py"))
+
+
 def test_an_own_effect_is_named_and_everything_is_written(
-    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+    files: Path, unnamed: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):  # fmt: skip
+    """Also over an earlier search: one that finds no law leaves no model of the earlier one, and laws, which may have been
+    edited, under another name."""
     monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
+    shutil.copytree(unnamed[0], tmp_path, dirs_exist_ok=True)
+    law = laws_in(tmp_path)[0]
+    law.write_text(law.read_text() + "# mine\n")
+    (tmp_path / "proposal_mine.py").write_text("")
     arguments = command(files, "--train", "a.csv", "b.csv", "--test", "c.csv", "--effects-file", "friction.py")
     assert main([*arguments, "--out", str(tmp_path), "--json", str(tmp_path / "again.json"), "--max-effects", "2"]) == 0
     said = capsys.readouterr()
@@ -75,6 +100,11 @@ def test_an_own_effect_is_named_and_everything_is_written(
     assert content["trained_on"] == ["a", "b"]
     assert content["tested_on"] == ["c"]
     assert content["settings"]["max_effects"] == 2
+    assert content["model_with_laws"] is None
+    assert content["effects_files"] == [str(files / "friction.py")]
+    assert not (tmp_path / "model_with_laws.json").exists()
+    assert [path.name for path in laws_in(tmp_path)] == ["proposal_mine.py"]
+    assert (tmp_path / f"{law.name}.old").read_text().endswith("# mine\n")
     own = load_effects(files / "friction.py")
     model = IdentifiedModel.load(tmp_path / "model.json", effects=own)
     assert model.effects == ("friction",)
@@ -82,17 +112,17 @@ def test_an_own_effect_is_named_and_everything_is_written(
     page = (tmp_path / "report.html").read_text()
     for text in ("friction", "What has a name", "Where simulation and data disagree", "How far the gap closed"):
         assert text in page
+    # Bad data search nothing and leave what was there.
+    assert main(command(files, "--train", "swapped.csv", "--out", str(tmp_path))) == 0
+    assert (tmp_path / "model.json").exists()
 
 
 def test_laws_come_with_a_model_that_has_them(
-    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    files: Path, unnamed: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """Of a search with nothing to name: the model loads with the files beside it, and other commands take both."""
-    monkeypatch.setattr(greybox.discovery.cause, "CATALOGUE", ())
-    out = tmp_path / "found"
-    assert main([*command(files, "--train", "a.csv", "b.csv", "--test", "c.csv"), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    laws = sorted(out.glob("proposal_*.py"))
+    out, said = unnamed
+    laws = laws_in(out)
     assert laws
     assert all(law.name in said for law in laws)
     assert f"greybox learn {out / 'model_with_laws.json'}" in said
@@ -117,20 +147,6 @@ def test_laws_come_with_a_model_that_has_them(
     capsys.readouterr()
     assert main(again) == 2
     assert "may write over it" in capsys.readouterr().err
-    # One that finds no law leaves no model of an earlier one, and laws, which may have been edited, under another name.
-    laws[0].write_text(laws[0].read_text() + "# mine\n")
-    (out / "proposal_mine.py").write_text("")
-    arguments = command(files, "--train", "a.csv", "b.csv", "--effects-file", "friction.py", "--out", str(out))
-    assert main(arguments) == 0
-    content = valid(out / "discovery.json")
-    assert content["model_with_laws"] is None
-    assert content["effects_files"] == [str(files / "friction.py")]
-    assert not (out / "model_with_laws.json").exists()
-    assert [path.name for path in out.glob("proposal_*.py")] == ["proposal_mine.py"]
-    assert (out / f"{laws[0].name}.old").read_text().endswith("# mine\n")
-    # Bad data search nothing and leave what was there.
-    assert main(command(files, "--train", "swapped.csv", "--out", str(out))) == 0
-    assert (out / "model.json").exists()
 
 
 def test_files_that_are_set_aside_are_never_written_over(tmp_path: Path):

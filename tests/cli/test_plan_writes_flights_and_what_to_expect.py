@@ -40,6 +40,8 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
         "4",
         "--flights",
         "2",
+        "--rate",
+        "50",
     ]
     assert (
         main([*command, "--box", "3,3,2", "--setpoints-only", "--out", str(out), "--json", str(tmp_path / "p.json")])
@@ -52,7 +54,7 @@ def test_a_plan_is_written_whole(vehicle, tmp_path, capsys):
     assert content == json.loads((tmp_path / "p.json").read_text())
     assert [f["file"] for f in content["flights"]] == ["flight_1.csv", "flight_2.csv"]
     table = np.genfromtxt(out / "flight_1.csv", delimiter=",", names=True)
-    assert table.size == 400 and table["t"][1] == pytest.approx(0.01)
+    assert table.size == 200 and table["t"][1] == pytest.approx(0.02)
     # The expected flight is a log like any other.
     log = read_log(out / "expected_1.csv", read_vehicle(vehicle))
     assert {"x", "qw", "p", "ax", "u1"} <= set(log.channels)
