@@ -639,11 +639,7 @@ def engine_for(
         shelf = {}
     key = active, sensitive
     if key not in shelf:
-        larger = [
-            e
-            for (own, has), e in shelf.items()
-            if set(active) <= set(own) and has >= (sensitive and bool(active))
-        ]
+        larger = [e for (own, has), e in shelf.items() if set(active) <= set(own) and has >= sensitive]
         shelf[key] = (
             min(larger, key=lambda e: len(e.active)).select(active)
             if larger

@@ -309,3 +309,9 @@ def test_inputs_are_not_changed(medium):
     scene.run(engine, s0=np.zeros((engine.nd, len(engine.active))))
     for a, b in zip((scene.x0, scene.y, scene.u, scene.mask, scene.p), before, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_an_engine_without_sensitivities_stands_in_for_none_that_has_them():
+    model = PhysicsModel(vehicle=everything().vehicle, effects=CATALOGUE[:1], sensors=SENSORS[:5], sample_time=DT)
+    assert not engine_for(model, (), sensitive=False).sensitive
+    assert engine_for(model, ()).sensitive
