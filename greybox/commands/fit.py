@@ -64,6 +64,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.fit_own import RESULTS
+    from greybox.commands.flight_series import series
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
@@ -331,43 +332,3 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")
-
-
-def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
-) -> dict[str, Any]:
-    """Time series of `limit` flights per data set for the report (15 figures each): measured, one step and some ahead."""
-    import numpy as np
-
-    from greybox.estimation.filtering import Filter
-    from greybox.report.flight_section import ChannelSeries, FlightSeries
-
-    chosen: list[tuple[str, Any]] = []
-    roles: Sequence[str] = ("train", "test")
-    for role, data in zip(roles, datasets, strict=False):
-        chosen += [(role, f) for f in data.flights[:limit]]
-    runner = Filter(model)
-    steps = max(1, round(ahead_seconds / model.sample_time))
-    out: dict[str, Any] = {}
-    for role, flight in chosen:
-        segment = max(flight.segments, key=lambda s: s.n)
-        own = (adapted or {}).get(flight.name)
-        p = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values}) if own else None
-        filtered = runner.run(segment, p=p)
-        origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
-        ahead = np.full_like(filtered.outputs, np.nan)
-        if origins.size:
-            ahead[origins + steps] = runner.rollout(filtered, origins, steps)[:, -1]
-        channels = {
-            signal.name: ChannelSeries(
-                measured=filtered.record.outputs[:, j],
-                unit=signal.unit,
-                one_step=filtered.outputs[:, j],
-                ahead=ahead[:, j],
-            )
-            for j, signal in enumerate(model.dynamics.outputs)
-        }
-        out[flight.name] = FlightSeries(
-            t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role
-        )
-    return out

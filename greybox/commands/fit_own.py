@@ -24,7 +24,7 @@ OF_VEHICLES: dict[str, object] = {
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, validate, report. Returns 1 where the model is not usable or did not converge."""
-    from greybox.commands.fit import series
+    from greybox.commands.flight_series import series
     from greybox.commands.judgement import exit_code, given_horizons
     from greybox.commands.model_options import fit_options
     from greybox.commands.own_model import demand_disjoint, read_flights_of

@@ -77,12 +77,16 @@ HEADLINE = (("position", "velocity"), ("rotation",), ("rate",))
 """Of each, the first channel group that was judged stands in the headline."""
 
 
+def headline_groups(groups: Sequence[str]) -> list[str]:
+    """Those of the channel groups that stand in a headline: where a craft is and how it turns; of other models the
+    first three."""
+    unique = list(dict.fromkeys(groups))
+    return [g for names in HEADLINE if (g := next((n for n in names if n in unique), None))] or unique[:3]
+
+
 def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
-    """Error against horizon between ceiling and floor, of where a craft is and how it turns; of other
-    models the first three groups. Nothing where no group was judged."""
-    groups = _groups(validation)
-    chosen = [g for names in HEADLINE if (g := next((n for n in names if n in groups), None))]
-    panels, key = _growth(validation, chosen or groups[:3])
+    """Error against horizon between ceiling and floor. Nothing where no group was judged."""
+    panels, key = _growth(validation, headline_groups(_groups(validation)))
     if panels:
         report.figures(panels, key=key)
 

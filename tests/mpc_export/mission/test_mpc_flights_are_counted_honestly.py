@@ -62,7 +62,7 @@ def test_a_promise_that_is_kept_and_one_that_is_broken():
     assert found["controllers"]["tube"]["p_value"] == pytest.approx(0.0113, abs=1e-4)  # P(X >= 6), X ~ B(20, 0.1)
     assert any("surer than it should be" in text for text in found["next"])
     page = mpc_report(found, bad, {})
-    assert page.index("broke its promise") < page.index("The short answer</h2>")
+    assert page.index("broke its promise") < page.index("<figure>") < page.index("What to do next</h3>")
 
 
 def test_a_crash_counts_as_beyond_a_limit_and_costs_are_paired_by_seed():
