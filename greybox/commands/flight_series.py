@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,17 +26,11 @@ def series(
     for role, data in zip(roles, datasets, strict=False):
         chosen += [(role, f) for f in data.flights[:limit]]
     runner = Filter(model)
-    steps = max(1, round(ahead_seconds / model.sample_time))
     out: dict[str, Any] = {}
     for role, flight in chosen:
         segment = max(flight.segments, key=lambda s: s.n)
-        own = (adapted or {}).get(flight.name)
-        p = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values}) if own else None
-        filtered = runner.run(segment, p=p)
-        origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
-        ahead = np.full_like(filtered.outputs, np.nan)
-        if origins.size:
-            ahead[origins + steps] = runner.rollout(filtered, origins, steps)[:, -1]
+        filtered = runner.run(segment, p=flight_parameters(model, (adapted or {}).get(flight.name)))
+        seconds, ahead = ahead_of(runner, filtered, ahead_seconds)
         channels = {
             signal.name: ChannelSeries(
                 measured=filtered.record.outputs[:, j],
@@ -47,10 +41,28 @@ def series(
             for j, signal in enumerate(model.dynamics.outputs)
         }
         out[flight.name] = FlightSeries(
-            t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role,
+            t=segment.t, channels=channels, ahead_seconds=seconds, role=role,
             replay=_replay(runner, filtered, segment.t),
         )  # fmt: skip
     return out
+
+
+def flight_parameters(model: Any, own: Mapping[str, Any] | None) -> FloatArray | None:
+    """The parameter vector of a flight with values of its own ({name: {value: ...}}), None where there are none."""
+    if not own:
+        return None
+    vector: FloatArray = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values})
+    return vector
+
+
+def ahead_of(runner: Filter, filtered: Filtered, seconds: float) -> tuple[float, FloatArray]:
+    """(seconds, in whole steps; outputs (n, n_y), each as it was predicted that long before, NaN at the beginning)."""
+    steps = max(1, round(seconds / runner.model.sample_time))
+    origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
+    ahead = np.full_like(filtered.outputs, np.nan)
+    if origins.size:
+        ahead[origins + steps] = runner.rollout(filtered, origins, steps)[:, -1]
+    return steps * runner.model.sample_time, ahead
 
 
 def _replay(runner: Filter, filtered: Filtered, t: FloatArray) -> Replay | None:

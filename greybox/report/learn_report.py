@@ -197,7 +197,10 @@ def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]
             continue
         steps = max(len(v) for v, *_ in curves.values())
         unit, factor = in_degrees(next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g))
-        shown = {n: ([None if v is None else factor * v for v in own], *look) for n, (own, *look) in curves.items()}
+        shown = {
+            n: ([None if v is None else factor * v for v in own], colour, style)
+            for n, (own, colour, style) in curves.items()
+        }
         figure = figures.error_growth(
             [dt * (i + 1) for i in range(steps)], shown, unit=unit, title=g.replace("_", " ")
         )

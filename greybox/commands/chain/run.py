@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TextIO
 
 from greybox.commands.chain.choice import Choice, best, verdict_of
-from greybox.commands.chain.left import flight_seconds, in_words, seconds_left
+from greybox.commands.chain.left import flight_seconds, seconds_left
 from greybox.commands.chain.record import Outcome, StageRecord, read_record, write_record
 from greybox.commands.chain.request import Request, Skip, SoFar, Stage, Work
 from greybox.commands.chain.stages import NAMES, STAGES
@@ -27,6 +27,7 @@ from greybox.distribution import VERSION
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import checksum, file_sha256, read_json, write_atomic
 from greybox.model.verdict import NOT_JUDGED
+from greybox.progress import in_words
 from greybox.report.identify_report import identify_report
 
 Say = Callable[[str], None]
