@@ -221,6 +221,7 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
             caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} % of the lags of "
             "white noise lie; orange: outside.",
         )
+        _spectra(report, whiteness, validation.get("sample_time"))
         body: list[list[Cell]] = [
             [
                 name,
@@ -248,6 +249,26 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         )
     if cross:
         _cross(report, cross, worst)
+
+
+def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | None) -> None:
+    """Cumulated periodograms; nothing where they were not kept."""
+    kept = {n: c for n, c in whiteness["channels"].items() if c.get("periodogram") and c.get("periodogram_band")}
+    if not kept or not sample_time:
+        return
+    panels = [
+        (
+            figures.cumulated(c["periodogram"], c["periodogram_band"], sample_time=sample_time, title=name),
+            f"Share of the variance of innovation {name} below each frequency, with the band of white noise",
+        )
+        for name, c in kept.items()
+    ]
+    report.figures(
+        panels,
+        caption="Cumulated periodograms: white noise rises straight and stays between the dashed lines "
+        f"{100 * whiteness['level']:g} % of the time. Early rise (orange): slow errors are left, as of drag or wind; late "
+        "rise: vibration or noise that a sensor adds.",
+    )
 
 
 def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:
