@@ -9,7 +9,8 @@ vehicle = gb.read_vehicle(gb.examples.vehicle_path("nanobench"))
 names = ("B2_circle_fast_rep1", "B7_oval_fast_rep1", "B3_figure8_fast_rep1")
 flights = gb.read_logs([gb.examples.flight_path("nanobench", n) for n in names], vehicle, rate=100)
 train, test = flights.select(names[:2]), flights.select(names[2:])
-model = gb.build_model(vehicle, train.channels, ["motor_lag"], sample_time=0.01)
+# Columns that were smoothed with later samples must not enter a filter: `noncausal` names them.
+model = gb.build_model(vehicle, train.channels, ["motor_lag"], sample_time=0.01, noncausal=train.noncausal)
 physics = gb.fit(model, train, disturbance=["force", "torque"]).model
 
 # %%

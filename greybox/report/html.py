@@ -63,6 +63,10 @@ class Span:
     text: str
 
 
+WIDE = 9
+"""Columns from which a table is set closer, to fit on a desk's screen."""
+
+
 @functools.cache
 def script(name: str) -> str:
     """A program of ours that moves a page, of the file NAME.js beside this one."""
@@ -217,7 +221,8 @@ class Report:
             body.append(f"<tr>{first}{''.join(f'<td{long[i]}>{_cell(c)}</td>' for i, c in enumerate(row) if i)}</tr>")
         # A region that scrolls must be reachable by keyboard.
         region = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption or headers[0])}">'
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        kind = ' class="wide"' if len(headers) >= WIDE else ""
+        table = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
         below = f'<p class="caption">{escape(caption)}</p>' if caption else ""
         self._parts.append(f"{region}{table}</div>{below}")
 

@@ -42,12 +42,14 @@ none; } :focus-visible { outline: 3px solid var(--c1); outline-offset: 2px; }
 .good { border-left: 5px solid var(--c3); background: var(--raised); padding: .6rem 1rem; max-width: 60rem; }
 .scroll { overflow-x: auto; margin: .8rem 0 .3rem; max-width: 100%; }
 table { border-collapse: collapse; font-size: .9rem; line-height: 1.4; }
-th, td { padding: .32rem .65rem .32rem 0; text-align: left; vertical-align: baseline; border-bottom: 1px solid
+th, td { padding: .32rem .7rem .32rem 0; text-align: left; vertical-align: baseline; border-bottom: 1px solid
 var(--line); } th { font-weight: 600; color: var(--muted); white-space: nowrap; }
 tbody th { color: var(--ink); font-weight: 500; }
 th.n, td.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 td { white-space: nowrap; }
 td.t, table.facts td { white-space: normal; min-width: 12rem; }
+table.wide { font-size: .84rem; }
+table.wide th, table.wide td { padding-right: .55rem; }
 table:not(.facts) tbody th { position: sticky; left: 0; background: var(--ground); }
 .columns { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 28rem), 1fr)); gap: 0 2rem; }
 .columns > * { min-width: 0; }

@@ -117,11 +117,11 @@ def test_animation_data_cannot_end_its_script():
     page = mpc_report(content(rows), rows, {1000: {"tube": trace, "hybrid": trace | {"plans": []}}})
     tree = ET.fromstring(page[len("<!DOCTYPE html>") :])
     scripts = list(tree.iter("script"))
-    assert len(scripts) == 2
+    assert len(scripts) == 3  # the data, the animation, the curves
     data = json.loads(next(s.text for s in scripts if s.get("type") == "application/json"))
     assert [c["text"] for c in data["controllers"]] == ["<hybrid> & co", "<tube> & co"]
     policy = next(m.get("content") for m in tree.iter("meta") if m.get("http-equiv"))
-    assert policy.count("'sha256-") == 1
+    assert policy.count("'sha256-") == 2
     assert "unsafe-inline'; script-src" in policy
 
 
