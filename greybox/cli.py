@@ -99,7 +99,11 @@ def _main(argv: Sequence[str] | None) -> int:
         )
 
     try:
-        arguments = build_parser().parse_args(argv)
+        parser = build_parser()
+        if not (sys.argv[1:] if argv is None else argv):
+            parser.print_help()
+            return 2
+        arguments = parser.parse_args(argv)
     except KeyboardInterrupt:
         print("greybox: interrupted", file=sys.stderr)
         return 130
@@ -107,7 +111,7 @@ def _main(argv: Sequence[str] | None) -> int:
         with contextlib.ExitStack() as stack:
             if getattr(arguments, "out", "") is None and hasattr(arguments, "default_out"):
                 arguments.out = arguments.default_out(arguments)
-            for option in ("out", "json", "draft"):
+            for option in ("out", "json", "draft", "mcap"):
                 if (path := getattr(arguments, option, None)) not in (None, "-"):
                     from greybox.files import check_writable, sole_writer
 
@@ -127,7 +131,8 @@ def _main(argv: Sequence[str] | None) -> int:
         print(f"greybox {arguments.command}: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"greybox {arguments.command}: interrupted", file=sys.stderr)
+        kept = getattr(arguments, "kept", None) or "nothing was written; the same command starts again"
+        print(f"greybox {arguments.command}: interrupted; {kept}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         _abandon_output()

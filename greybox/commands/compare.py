@@ -55,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.record import sample_time
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
+    from greybox.progress import TimeLeft
     from greybox.report.compare_report import compare_report, format_table
     from greybox.residual.compare import compare
     from greybox.residual.compare_bench import Bench
@@ -93,11 +94,16 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     command = typed("compare")
     content: dict[str, Any] = {}
+    left = TimeLeft()
     for partial in compare(bench, arguments.methods, learners=learners):
         # What is done stays done, whatever happens to the next method.
         content = {**partial, "command": command}
         write_json(out / "compare.json", content)
         write_atomic(out / "report.html", compare_report(content))
+        done = [m["method"] for m in content["methods"]]
+        others = content["not_run"]
+        arguments.kept = f"what is done is in {out / 'compare.json'}; for the rest: --methods {','.join(others)} --out OTHER"
+        say(f"{len(done)} of {len(done) + len(others)} done{left.after(len(done) / (len(done) + len(others)))}")
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
     elif arguments.json:

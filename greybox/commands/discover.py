@@ -13,6 +13,7 @@ from typing import Any
 from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
 from greybox.commands.judgement import accept_option, accepted
+from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
 
 
@@ -69,6 +70,7 @@ def add(subparsers: Any) -> None:
     accept_option(p)
     p.add_argument("--out", default=None, metavar="DIR",
                    help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
+    mcap_option(p)
     p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
     p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
 
@@ -86,6 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.vehicle import read_vehicle
+    from greybox.progress import TimeLeft
     from greybox.report.discover_report import discover_report
     from greybox.residual.laws.effect_file import LAW_FILE
 
@@ -96,7 +99,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    need_mcap(arguments.mcap)
     if arguments.folder is not None:
+        if arguments.mcap:
+            raise GreyboxError("--continue writes no recording", fix="greybox validate model.json --log LOGS --mcap F.mcap")
         return _go_on(arguments)
     if not arguments.train:
         raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
@@ -147,9 +153,11 @@ def run(arguments: argparse.Namespace) -> int:
     def page() -> None:
         write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
 
+    left = TimeLeft()
+
     def progress(text: str, share: float) -> None:
         if not quiet:
-            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
+            print(f"  {100 * share:3.0f} %  {text}{left.after(share)}", file=sys.stderr, flush=True)
 
     if faults.ok:
         train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
@@ -169,11 +177,17 @@ def run(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             if content:
                 page()
+                where = out / "model.json"
+                arguments.kept = f"what was found until then is in {out}" + (
+                    f"; greybox discover --from {where} --train LOGS goes on from it" if where.exists() else ""
+                )
             raise
     else:
         found = refused(faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed})
     write(found)
     page()
+    if found.fit is not None:
+        write_if_asked(arguments.mcap, found.model, train, test)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
     elif arguments.json:

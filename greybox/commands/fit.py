@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import fit_with, given, model_options
 from greybox.commands.own_model import model_file_option
 
@@ -57,6 +58,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--all-flights", action="store_true", help="fit flights with blocking faults or of another craft, too")
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
+    mcap_option(p)
     p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
@@ -64,6 +66,7 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.fit_own import RESULTS
+    from greybox.commands.flight_series import series
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
@@ -71,13 +74,15 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
+    from greybox.progress import TimeLeft
     from greybox.report.fit_report import fit_report
 
     if (arguments.vehicle is None) == (arguments.model_file is None):
         raise GreyboxError(
             "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
-            fix="--vehicle V.toml",
+            fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} --out V.toml begins one",
         )  # fmt: skip
+    need_mcap(arguments.mcap)
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
     if arguments.model_file is not None:
@@ -101,8 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
     say_vehicle(vehicle, say)
     say(f"{prepared.data}")
 
+    left = TimeLeft()
+
     def progress(iteration: int, cost: float, decrement: float) -> None:
-        say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}")
+        rest = left.after_step(iteration, decrement)
+        say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}")
 
     out = Path(arguments.out)
 
@@ -124,11 +132,13 @@ def run(arguments: argparse.Namespace) -> int:
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept)
-        say(f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}")
+        arguments.kept = f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
+        arguments.kept += "converged; the same command starts again"
         raise
     # The fit is safe before anything else can go wrong.
     withdraw(out, *RESULTS)
     content = save(result)
+    arguments.kept = f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} --log LOGS judges it"
     physics = _sanity_lines(result)
     checked: dict[str, Any] | None = None
     table = ""
@@ -160,6 +170,7 @@ def run(arguments: argparse.Namespace) -> int:
     said = {**content, "warnings": [*physics, *content["warnings"]]}
     page = fit_report(said, lines, checked, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
+    write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
     elif arguments.json:
@@ -331,43 +342,3 @@ def _explicit(arguments: argparse.Namespace, prepared: Prepared, test: Dataset, 
     more += ["--keep-impossible"] if arguments.keep_impossible else []
     more += ["--judge-left-out"] if arguments.judge_left_out or not arguments.test else []
     return words + (" " + shlex.join(more) if more else "")
-
-
-def series(
-    model: Any, *datasets: Any, adapted: Any = None, ahead_seconds: float = 0.5, limit: int = 1
-) -> dict[str, Any]:
-    """Time series of `limit` flights per data set for the report (15 figures each): measured, one step and some ahead."""
-    import numpy as np
-
-    from greybox.estimation.filtering import Filter
-    from greybox.report.flight_section import ChannelSeries, FlightSeries
-
-    chosen: list[tuple[str, Any]] = []
-    roles: Sequence[str] = ("train", "test")
-    for role, data in zip(roles, datasets, strict=False):
-        chosen += [(role, f) for f in data.flights[:limit]]
-    runner = Filter(model)
-    steps = max(1, round(ahead_seconds / model.sample_time))
-    out: dict[str, Any] = {}
-    for role, flight in chosen:
-        segment = max(flight.segments, key=lambda s: s.n)
-        own = (adapted or {}).get(flight.name)
-        p = model.parameter_vector({k: v["value"] for k, v in own.items() if k in model.values}) if own else None
-        filtered = runner.run(segment, p=p)
-        origins = np.arange(0, max(filtered.record.n - steps - 1, 0))
-        ahead = np.full_like(filtered.outputs, np.nan)
-        if origins.size:
-            ahead[origins + steps] = runner.rollout(filtered, origins, steps)[:, -1]
-        channels = {
-            signal.name: ChannelSeries(
-                measured=filtered.record.outputs[:, j],
-                unit=signal.unit,
-                one_step=filtered.outputs[:, j],
-                ahead=ahead[:, j],
-            )
-            for j, signal in enumerate(model.dynamics.outputs)
-        }
-        out[flight.name] = FlightSeries(
-            t=segment.t, channels=channels, ahead_seconds=steps * model.sample_time, role=role
-        )
-    return out

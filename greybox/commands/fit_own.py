@@ -24,8 +24,9 @@ OF_VEHICLES: dict[str, object] = {
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, fit, validate, report. Returns 1 where the model is not usable or did not converge."""
-    from greybox.commands.fit import series
+    from greybox.commands.flight_series import series
     from greybox.commands.judgement import exit_code, given_horizons
+    from greybox.commands.mcap_option import write_if_asked
     from greybox.commands.model_options import fit_options
     from greybox.commands.own_model import demand_disjoint, read_flights_of
     from greybox.errors import GreyboxError
@@ -34,6 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.status import Interrupted
     from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.own_model import load_own_model
+    from greybox.progress import TimeLeft
     from greybox.report.fit_report import fit_report
 
     for name, silent in OF_VEHICLES.items():
@@ -54,15 +56,20 @@ def run(arguments: argparse.Namespace) -> int:
         found.model.save(out / "model.json")
         return content
 
+    left = TimeLeft()
+
     def progress(iteration: int, cost: float, decrement: float) -> None:
+        rest = left.after_step(iteration, decrement)
         if not quiet:
-            print(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}", file=sys.stderr)
+            print(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}", file=sys.stderr)
 
     try:
         found = fit(model, train, fit_options(arguments), progress=progress)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept, [])
+        arguments.kept = f"the best values so far are in {out / 'fit.json'} and {out / 'model.json'}, marked as not "
+        arguments.kept += "converged; the same command starts again"
         raise
     warnings = [] if test.flights else ["validated on the flights that were fitted: give --test flights"]
     withdraw(out, *RESULTS)
@@ -79,6 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         content, series(found.model, train, test), None if seen is None else seen.to_dict(), title=f"Fit of {model.name}"
     )
     write_atomic(out / "report.html", page)
+    write_if_asked(arguments.mcap, found.model, train, test)
     if quiet:
         sys.stdout.write(dump_json(content))
     elif arguments.json:

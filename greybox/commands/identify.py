@@ -67,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         accept=accepted(arguments.accept),
     )  # fmt: skip
     command = typed("identify", "greybox " + shlex.join(["identify", vehicle, *logs]))
+    arguments.kept = f"the stages that ended are in {out}; the same command goes on"
     found = run_chain(request, command=command, say=say, progress=sys.stderr)
     outcome = found.outcome
     if outcome.stopped:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -97,16 +98,16 @@ def beside(log: str, found: Any) -> str | None:
 
 def advice(found: Any, content: dict[str, Any], arguments: argparse.Namespace, known: str | None) -> list[str]:
     """What to do next, in the order in which to try it."""
-    log, has = arguments.log, [f"--mapping {arguments.mapping}"] if arguments.mapping else []
-    has += [f"--vehicle {arguments.vehicle}"] if arguments.vehicle else []
+    log, has = shlex.quote(arguments.log), [f"--mapping {shlex.quote(arguments.mapping)}"] if arguments.mapping else []
+    has += [f"--vehicle {shlex.quote(arguments.vehicle)}"] if arguments.vehicle else []
     if known is not None:
-        return [f"{known} knows these columns: greybox inspect {log} --vehicle {known}"]
+        return [f"{known} knows these columns: greybox inspect {log} --vehicle {shlex.quote(known)}"]
     out = []
     if content["looks_like"] and not arguments.draft:
         out.append(f"write the guess and look it over: greybox inspect {log} --draft map.toml")
         out.append(f"then: greybox inspect {log} --mapping map.toml")
     elif content["looks_like"]:
-        out.append(f"look {arguments.draft} over, then: greybox inspect {log} --mapping {arguments.draft}")
+        out.append(f"look {arguments.draft} over, then: greybox inspect {log} --mapping {shlex.quote(arguments.draft)}")
     if arguments.vehicle is None:
         from greybox.model.vehicle_template import TEMPLATES
 

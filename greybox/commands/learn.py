@@ -11,6 +11,7 @@ from typing import Any
 from greybox.commands.command_line import typed
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
 
@@ -47,6 +48,7 @@ def add(subparsers: Any) -> None:
                    "variance to that of the full one (docs/residual.md)")  # fmt: skip
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
+    mcap_option(p)
     p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
@@ -58,6 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.files import dump_json, withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
+    from greybox.progress import TimeLeft
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import save_model
     from greybox.residual.learn import learn
@@ -81,7 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
             )
     if arguments.place and arguments.inputs:
         raise GreyboxError("--place competes with other sets, --inputs is the only one", fix="one of the two")
+    need_mcap(arguments.mcap)
     if is_linear(arguments.model):
+        if arguments.mcap:
+            raise GreyboxError("--mcap is for models of a vehicle", got=f"the linear model {arguments.model}")
         if arguments.place:
             raise GreyboxError("--place is for models of a vehicle", got=f"the linear model {arguments.model}")
         if arguments.guard and arguments.learner != "gp":
@@ -103,9 +109,11 @@ def run(arguments: argparse.Namespace) -> int:
     )
     demand_disjoint(train, test)
 
+    left = TimeLeft()
+
     def progress(text: str, share: float) -> None:
         if not quiet:
-            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
+            print(f"  {100 * share:3.0f} %  {text}{left.after(share)}", file=sys.stderr, flush=True)
 
     names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
     learned = learn(
@@ -122,6 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
     withdraw(out, *RESULTS)
     save_model(learned.model, out / "hybrid.json")
     write_json(out / "learn.json", content)
+    arguments.kept = f"what was learned is in {out}, not judged: greybox validate {out / 'hybrid.json'} --log LOGS judges it"
     judged = test if test.flights else train
     checked: dict[str, Any] = {}
     verdict = None
@@ -142,6 +151,8 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / "learn.json", content)
     page = learn_report(content, title=f"What {model.name} misses")
     report = write_atomic(out / "report.html", page)
+    adapted = ((checked.get("after") or {}).get("adapted_on") or {}).get("flights")
+    write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
     if arguments.json == "-":
         sys.stdout.write(dump_json(content))
     elif arguments.json:

@@ -123,6 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_atomic(out / "report.html", mpc_report(content, rows, read_traces(campaign, flown.entries, watched)))
         return content
 
+    arguments.kept = f"what was flown is in {out}; the same command goes on"
     try:
         flights(flown.hangar, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=say)
     except KeyboardInterrupt:

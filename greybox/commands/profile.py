@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.front_door import profile
     from greybox.errors import DataError
     from greybox.files import dump_json, write_atomic, write_json
+    from greybox.progress import TimeLeft
     from greybox.report.profile_report import profile_report
 
     if not 0 < arguments.level < 1:
@@ -55,9 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
     quiet = arguments.json == "-"
     found = _fitted(arguments)
     profiles = []
-    for name in arguments.of:
+    left = TimeLeft()
+    for k, name in enumerate(arguments.of):
         if not quiet:
-            print(f"  {name} ...", file=sys.stderr, flush=True)
+            rest = left.after(k / len(arguments.of))
+            print(f"  {name} ({k + 1} of {len(arguments.of)}){rest}", file=sys.stderr, flush=True)
         profiles.append(profile(found, name, level=arguments.level))
     out = Path(arguments.out)
     content = {

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from typing import Any
 
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 from greybox.errors import DataError
 
@@ -37,6 +39,7 @@ def add(commands: Any) -> None:
         "--effects-file", nargs="+", default=[], metavar="E.py", help="Python files with the model's own effects"
     )
     model_file_option(p)
+    mcap_option(p)
     p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
     p.set_defaults(run=run)
 
@@ -45,8 +48,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Validate and print. Returns 0, or 1 where the model is not usable."""
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
+    need_mcap(arguments.mcap)
     from greybox.files import dump_json, write_json
     from greybox.model.layer import physics_of
+    from greybox.progress import TimeLeft
     from greybox.validation.validate import validate
 
     model = loaded(arguments)
@@ -58,10 +63,18 @@ def run(arguments: argparse.Namespace) -> int:
         rate=arguments.rate or 1.0 / model.sample_time,
         trim=not arguments.keep_ground,
     )
+    left, begun = TimeLeft(), itertools.count()
+
+    def progress(line: str) -> None:
+        k = next(begun)
+        if sys.stderr.isatty():
+            print(f"{line} ({k + 1} of {len(dataset)}){left.after(k / len(dataset))}", file=sys.stderr, flush=True)
+
     result = validate(
-        model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start,
-        progress=lambda line: print(line, file=sys.stderr, flush=True) if sys.stderr.isatty() else None,
-    )  # fmt: skip
+        model, dataset, **horizons, adapt=arguments.adapt, measured_start=arguments.measured_start, progress=progress
+    )
+    adapted = (result.to_dict().get("adapted_on") or {}).get("flights")
+    write_if_asked(arguments.mcap, model, dataset, adapted=adapted)
     if arguments.json == "-":
         sys.stdout.write(dump_json(result.to_dict()))
         return exit_code(result.verdict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -118,7 +119,7 @@ def _tell(text: str, out: str | None) -> int:
     if not out:
         print(text, end="")
         return 0
-    print(f"wrote {write_atomic(out, text)}; now weigh, measure and run: greybox vehicle check {out}")
+    print(f"wrote {write_atomic(out, text)}; now weigh, measure and run: greybox vehicle check {shlex.quote(str(out))}")
     return 0
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, TypedDict, TypeVar, Unpack
 
-from greybox.errors import UnknownNameError
+from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.criterion import Criterion
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.solver import Solver
@@ -149,6 +149,9 @@ class FitOptions:
     def __post_init__(self) -> None:
         for name in _TUPLES:
             given: Iterable[str] | None = getattr(self, name)
+            if isinstance(given, str):  # its letters would be taken for names
+                listed = [word.strip() for word in given.split(",")]
+                raise GreyboxError(f"{name} takes a list of names", got=repr(given), fix=f"{name}={listed}")
             object.__setattr__(self, name, None if given is None else tuple(given))
         for name in ("values", "priors", "flight_priors", "noise"):
             object.__setattr__(self, name, dict(getattr(self, name) or {}))

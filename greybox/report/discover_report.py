@@ -14,7 +14,8 @@ from greybox.report.discover_figures import evidence, paired_bars
 from greybox.report.discover_sections import sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
-from greybox.report.words import number, rounded
+from greybox.report.validation_sections import headline_groups
+from greybox.report.words import in_degrees, number, rounded
 from greybox.validation.gap import closed_in_words
 
 ANSWERS = {
@@ -33,9 +34,14 @@ def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> 
     """The page of a discovery. `content` follows schemas/discovery.json. Raises `KeyError` where a
     required field is missing."""
     report = Report(title or "What the model misses", _subtitle(content))
-    for text in [*(f"data fault: {f}" for f in content["faults"]), *content["warnings"]]:
+    report.first_line(content["line"], good=content["verdict"] in ("named", "nothing_missing"))
+    with report.headline():
+        report.paragraph(ANSWERS[content["verdict"]])
+        _closing(report, content, headline_groups([r["group"] for r in content["gap"]]))
+        _answer(report, content)
+        _next(report, content)
+    for text in content["warnings"]:
         report.warning(text)
-    _answer(report, content)
     _names(report, content)
     _alike(report, content)
     _no_name(report, content)
@@ -44,7 +50,6 @@ def discover_report(content: Mapping[str, Any], *, title: str | None = None) -> 
     sensors_section(report, content)
     _gap(report, content)
     _power(report, content)
-    _next(report, content)
     _reproduce(report, content)
     return report.html()
 
@@ -68,11 +73,8 @@ def _numbers(effect: Mapping[str, Any]) -> str:
 
 
 def _answer(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("The answer")
-    verdict = content["verdict"]
-    clear = verdict in ("named", "nothing_missing")
-    (report.verdict if clear else report.paragraph)(ANSWERS[verdict])
-    texts = [f"{e['name']}: {_numbers(e)}, {e['status']}" for e in content["effects"]]
+    texts = [f"data fault: {f}" for f in content["faults"]]
+    texts += [f"{e['name']}: {_numbers(e)}, {e['status']}" for e in content["effects"]]
     texts += [
         "one of " + ", ".join(f"{c['name']} ({100 * c['weight']:.0f} %)" for c in a["candidates"])
         for a in content["ambiguous"]
@@ -282,18 +284,29 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
         "accelerometer. It feels gusts as they come, which no model of commands can foresee, so a complete model may stay "
         "above it; and it has the noise of its sensors, so that a model can also lie below. Rates have no floor."
     )
+    caption = "RMS of the error's vector norm (rotation: geodesic angle)."
+    _closing(report, content, list(dict.fromkeys(r["group"] for r in rows)), caption)
+    _gap_table(report, rows)
+
+
+def _closing(report: Report, content: Mapping[str, Any], groups: Sequence[str], caption: str = "") -> None:
+    """Error against horizon of some groups: before, after, floor. Nothing where there is no group."""
+    rows = content["gap"]
     first = float(content["settings"].get("sample_time", 0.01))
     looks = (("before", SERIES[3], "--"), ("after", SERIES[0], "-"), ("floor", SERIES[2], ":"))
     panels: list[tuple[Figure, str]] = []
-    for g in dict.fromkeys(r["group"] for r in rows):
+    for g in groups:
         own = [r for r in rows if r["group"] == g]
+        unit, factor = in_degrees(own[0]["unit"])
         seconds = [r["horizon_s"] or first for r in own]
-        curves = {n: ([r[n] for r in own], colour, style) for n, colour, style in looks}
+        curves = {
+            n: ([None if r[n] is None else factor * r[n] for r in own], colour, style) for n, colour, style in looks
+        }
         curves = {n: c for n, c in curves.items() if any(v is not None for v in c[0])}
-        figure = figures.error_growth(
-            seconds, curves, unit=own[0]["unit"], title=g.replace("_", " "), measure="RMS error"
-        )
+        figure = figures.error_growth(seconds, curves, unit=unit, title=g.replace("_", " "), measure="RMS error")
         panels.append((figure, f"RMS {g} error against the horizon before and after the additions, with the floor"))
+    if not panels:
+        return
     report.figures(
         panels,
         key=[
@@ -301,17 +314,22 @@ def _gap(report: Report, content: Mapping[str, Any]) -> None:
             Key(text="before", colour="c4", stroke="dash"),
             Key(text="floor", colour="c3", stroke="dots"),
         ],
-        caption="RMS of the error's vector norm (rotation: geodesic angle).",
+        caption=caption,
     )
+
+
+def _gap_table(report: Report, rows: Sequence[Mapping[str, Any]]) -> None:
     body: list[list[Cell]] = []
     more = {"with_proposals": "closed with the proposed laws", "attainable": "closed by a learned part alone"}
     more = {k: text for k, text in more.items() if any(r.get(k) is not None for r in rows)}
     for r in rows:
+        unit, factor = in_degrees(r["unit"])
+        before, after, floor = (number(None if r[k] is None else factor * r[k]) for k in ("before", "after", "floor"))
         interval = "" if r["ci95"] is None else " .. ".join(_percent(v) for v in r["ci95"])
         body.append(
             [
                 r["group"].replace("_", " "), "1 sample" if r["horizon_s"] == 0 else f"{r['horizon_s']:g} s",
-                number(r["before"]), number(r["after"]), number(r["floor"]), r["unit"],
+                before, after, floor, unit,
                 None if r["closed"] is None else closed_in_words(r["closed"]), interval,
                 *(None if r.get(k) is None else closed_in_words(r[k]) for k in more),
             ]
@@ -342,7 +360,7 @@ def _power(report: Report, content: Mapping[str, Any]) -> None:
 
 
 def _next(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("What to do next")
+    report.heading("What to do next")
     verdict, texts = content["verdict"], []
     if verdict == "bad_data":
         texts.append("Mend the faults above; greybox check LOG --vehicle V.toml lists every finding with its fix.")

@@ -161,6 +161,25 @@ def correlogram(
     return figure
 
 
+def cumulated(share: npt.ArrayLike, band: float, *, sample_time: float, title: str) -> Figure:
+    """Cumulated periodogram: `share` (F,) of the variance below the frequencies up to half the sample rate, between the
+    lines `band` above and below that of white noise."""
+    figure, axes = _panel(1.9)
+    y = np.asarray(share, dtype=np.float64)
+    x = np.linspace(0.0, 0.5 / sample_time, len(y))
+    white = np.linspace(0.0, 1.0, len(y))
+    for off in (-band, band):
+        axes.plot(x, np.clip(white + off, 0.0, 1.0), color=MUTED, linestyle="--", linewidth=0.8)
+    out = bool(np.any(np.abs(y - white) > band))
+    axes.plot(x, y, color=SERIES[1] if out else SERIES[0], linewidth=1.4)
+    axes.set_xlim(0.0, float(x[-1]))
+    axes.set_ylim(0.0, 1.0)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_formatter(_SHORT)
+    _label(axes, x="frequency [Hz]", y="share", title=title)
+    return figure
+
+
 def dot_plot(
     names: Sequence[str],
     values: npt.ArrayLike,

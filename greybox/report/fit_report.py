@@ -145,8 +145,7 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
             [name, value, spread, t, within, p.get("unit", ""), _prior(p), _span(p, std), share, _notes(p)]
         )
     heads = [
-        "parameter", "estimate", "std", "t", "95 % interval", "unit", "prior", "prior and estimate",
-        "decided by prior", "",
+        "parameter", "estimate", "std", "t", "95 % interval", "unit", "prior", "prior, estimate", "by prior", "",
     ]  # fmt: skip
     report.table(
         heads,
@@ -154,7 +153,7 @@ def _parameters(report: Report, fit: Mapping[str, Any]) -> None:
         numeric=(1, 2, 3, 4, 8),
         caption="t: the estimate over its standard deviation; where zero means that an effect is not there, below 2 the "
         "flights hardly show it. Bars: grey, what the vehicle file allows (95 %); blue, what the flights leave of it. "
-        "Decided by prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
+        "By prior: the share of the estimate's precision that the prior brought, 0 % = the data alone. "
         "A parameter at its bound has no standard deviation: its interval is one-sided. Of per-flight parameters the "
         "mean over flights is shown.",
     )

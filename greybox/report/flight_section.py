@@ -10,6 +10,7 @@ import numpy as np
 from greybox.frames import numeric
 from greybox.report import figures
 from greybox.report.html import Key, Report
+from greybox.report.replay import Replay, replay
 from greybox.report.svg import INK, SERIES
 from greybox.report.words import number
 from greybox.symbolic import FloatArray
@@ -39,14 +40,18 @@ class ChannelSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightSeries:
-    """The time series of one flight: `t` (N,) [s] and its channels by name; `role` is "train" or "test"."""
+    """The time series of one flight: `t` (N,) [s] and its channels by name; `role` is "train" or "test"; `replay` where
+    position and attitude are known."""
 
     t: FloatArray
     channels: Mapping[str, ChannelSeries]
     ahead_seconds: float = 0.5
     role: str = ""
+    replay: Replay | None = None
 
 
+MOST_REPLAYS = 2
+"""Flights of a page that can be replayed: each weighs some 250 kB."""
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -153,12 +158,14 @@ def flight_section(
         "is the filter's prediction for the next sample. Select a flight to open it."
     )
     lines = sum(3 * len(flights[name].channels) for name in shown)
-    # About 1.4 MB of curves in all: each cell of a curve costs some 24 characters.
-    buckets = int(np.clip(1.4e6 / (24 * max(lines, 1)), 60, 300))
+    # About 1.4 MB of curves in all: each cell of a curve costs some 24 characters in each of two windows.
+    buckets = int(np.clip(0.7e6 / (24 * max(lines, 1)), 60, 300))
     for i, name in enumerate(shown):
         flight = flights[name]
         role = f" ({flight.role})" if flight.role else ""
         with report.details(f"{name}{role}", open=i == 0):
+            if flight.replay is not None and i < MOST_REPLAYS:
+                replay(report, name, flight.replay)
             part = _liveliest(flight, zoom_seconds)
             for what, window in (("the liveliest seconds", part), ("the whole flight", slice(0, len(flight.t)))):
                 panels = []

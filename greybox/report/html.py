@@ -1,7 +1,8 @@
 """A small document builder: sections, paragraphs, warnings, tables and figures in one self-contained HTML file.
 
-The page needs no network and no other file (a content security policy in it says so). Every text is escaped. A script stands
-in it only where a report brings one of ours (`live`), and runs by its hash alone.
+The page needs no network and no other file (a content security policy in it says so). Every text is escaped. The only
+scripts in it are ours, and run by their hashes alone: page.js where there are curves to zoom into, and what a report
+brings (`live`). Without them the page is complete, and still.
 The source is well-formed XML as well as HTML, so that tests and other tools can parse it strictly.
 """
 
@@ -9,10 +10,12 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import functools
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib import resources
 from typing import Literal
 from urllib.parse import quote
 
@@ -58,6 +61,16 @@ class Span:
     high: float
     prior: tuple[float, float]
     text: str
+
+
+WIDE = 9
+"""Columns from which a table is set closer, to fit on a desk's screen."""
+
+
+@functools.cache
+def script(name: str) -> str:
+    """A program of ours that moves a page, of the file NAME.js beside this one."""
+    return (resources.files("greybox.report") / f"{name}.js").read_text(encoding="utf-8").strip()
 
 
 Cell = str | int | float | None | Tag | Share | Span
@@ -139,6 +152,10 @@ class Report:
         """A paragraph of plain text."""
         self._parts.append(f"<p>{escape(text)}</p>")
 
+    def note(self, text: str) -> None:
+        """A caption by itself, in small letters."""
+        self._parts.append(f'<p class="caption">{escape(text)}</p>')
+
     def verdict(self, text: str) -> None:
         """A paragraph that states a result that is as it should be."""
         self._parts.append(f'<p class="good">{escape(text)}</p>')
@@ -204,7 +221,8 @@ class Report:
             body.append(f"<tr>{first}{''.join(f'<td{long[i]}>{_cell(c)}</td>' for i, c in enumerate(row) if i)}</tr>")
         # A region that scrolls must be reachable by keyboard.
         region = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption or headers[0])}">'
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        kind = ' class="wide"' if len(headers) >= WIDE else ""
+        table = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
         below = f'<p class="caption">{escape(caption)}</p>' if caption else ""
         self._parts.append(f"{region}{table}</div>{below}")
 
@@ -218,6 +236,8 @@ class Report:
         for figure, alt in panels:
             self._figures += 1
             drawn.append(to_svg(figure, name=f"f{self._figures}", label=alt))
+            if "data-axes" in drawn[-1][:2000]:
+                self._run(script("page"))
         entries = "".join(
             f'<li><span class="{k.stroke}" style="color: var(--{k.colour})"></span>{escape(k.text)}</li>' for k in key
         )
@@ -227,11 +247,20 @@ class Report:
         self._parts.append(f"<figure>{legend}{body}{below}</figure>")
 
     def live(self, markup: str, script: str, css: str = "") -> None:
-        """Markup, the script that moves it and its style, all ours: nothing of a user's may stand in them unescaped."""
+        """Markup, the script that moves it and its style, all ours: nothing of a user's may stand in them unescaped.
+
+        Script and style stand on the page once, however many parts bring them.
+        """
         self._parts.append(markup)
-        self._css += css
+        self._run(script, css)
+
+    def _run(self, script: str, css: str = "") -> None:
+        """A script and its style, once however often they are asked for."""
         # Read as HTML the marks are comments, read as XML they keep the script as it is.
-        self._scripts.append(f"//<![CDATA[\n{script}\n//]]>")
+        marked = f"//<![CDATA[\n{script}\n//]]>"
+        if marked not in self._scripts:
+            self._scripts.append(marked)
+            self._css += css
 
     def html(self) -> str:
         """The whole page."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from greybox.model.verdict import Outcome
 from greybox.report.html import Cell, Report, Tag
+from greybox.report.validation_sections import headline_figure
 
 
 def identify_report(
@@ -14,24 +15,26 @@ def identify_report(
     about: Mapping[str, str],
     *,
     links: Mapping[str, Sequence[tuple[str, str]]],
+    validation: Mapping[str, Any] | None = None,
 ) -> str:
     """The page. `content` follows schemas/identify.json; `about` says of every stage by name what
-    it is for, and `links` which files beside the page belong to it, (text, path) each."""
+    it is for, and `links` which files beside the page belong to it, (text, path) each. `validation`
+    (schemas/validate.json) is that of the model that came out."""
     outcome = content["outcome"]
     report = Report("From flights to a model", content["command"])
     verdict = outcome["verdict"]
     usable = verdict is not None and verdict["outcome"] == Outcome.USABLE.value
     report.first_line(outcome["line"], good=usable)
-    if outcome["model"]:
-        facts = [("Model", outcome["model"]), ("Why this one", outcome["why"])]
-        if verdict is not None:
-            facts.append(("Judged on", verdict["judged_on"]))
-            facts += [
-                (name, verdict[key])
-                for name, key in (("Likely reason", "reason"), ("Next", "action"))
-                if verdict[key]
-            ]
-        report.facts(facts)
+    with report.headline():
+        if validation:
+            headline_figure(report, validation)
+        if outcome["model"]:
+            facts = [("Model", outcome["model"]), ("Why this one", outcome["why"])]
+            if verdict is not None:
+                facts.append(("Judged on", verdict["judged_on"]))
+            report.facts(facts)
+        report.heading("What to do next")
+        report.bullets(_next(outcome, content["command"]))
     report.section("Stages")
     report.table(
         ("stage", "what", "ended", "seconds", "CPU seconds"),
@@ -50,6 +53,19 @@ def identify_report(
     report.paragraph("All of them, going on where it was stopped:")
     report.code(content["command"])
     return report.html()
+
+
+def _next(outcome: Mapping[str, Any], command: str) -> list[str]:
+    verdict = outcome["verdict"] or {}
+    if outcome["stopped"]:
+        return [f"Mend what the first line says; then the same command goes on with that stage: {command}"]
+    texts = []
+    if verdict.get("action"):
+        texts.append(f"{verdict['reason'][:1].upper()}{verdict['reason'][1:]}. Next: {verdict['action']}.")
+    texts.append("Every stage below has a page of its own: what is missing stands on that of discover.")
+    if outcome["exit_code"] == 0:
+        texts.append(f"On flights that nobody fitted: greybox validate {outcome['model']} --log NEW.csv")
+    return texts
 
 
 def _row(stage: Mapping[str, Any], about: str) -> tuple[Cell, ...]:

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
-from greybox.report.validation_sections import first_line
-from greybox.report.words import number
+from greybox.report.validation_sections import first_line, headline_groups
+from greybox.report.words import in_degrees, number
 
 HONEST = (0.88, 0.99)
 """Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within each of them."""
@@ -38,6 +38,11 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     report = Report(title or f"What {content['model']} misses", _subtitle(content))
     first_line(report, content.get("verdict"))
     validation = content.get("validation") or {}
+    with report.headline():
+        _answer(report, content)
+        after = validation.get("after") or {}
+        _curves(report, validation, headline_groups([g for h in after.get("horizons", []) for g in h["groups"]]))
+        _next(report, content, validation)
     texts = [*content.get("warnings", [])]
     texts += [f"{label}: {w}" for label, v in validation.items() for w in v.get("warnings", [])]
     texts += [f"{t['candidate']}: {w}" for t in content.get("training", []) for w in t.get("warnings", [])]
@@ -48,7 +53,6 @@ def learn_report(content: Mapping[str, Any], *, title: str | None = None) -> str
     _ahead(report, validation)
     _uncertainty(report, content, validation)
     _training(report, content)
-    _next(report, content, validation)
     _reproduce(report, content)
     return report.html()
 
@@ -72,23 +76,27 @@ def _channels(content: Mapping[str, Any], learned: bool) -> list[str]:
     return [o["name"] for o in content["outputs"] if o["learned"] is learned]
 
 
-def _learned(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("What was learned")
-    fit, learner = content["fit"], content.get("learner", "gp")
+def _answer(report: Report, content: Mapping[str, Any]) -> None:
+    """What was learned, in a sentence or two."""
     if content["null"]:
         report.paragraph(
             "Nothing was learned. No candidate lowers the multi-step errors of flights that it has not seen, so the model "
             "stays the physics alone; only its uncertainty was calibrated."
         )
-    else:
-        silent = _channels(content, False)
-        rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
-        report.verdict(
-            f"{learned_by(content)} of {', '.join(content['features'])} adds to "
-            f"{', '.join(_channels(content, True))}. It "
-            f"saves {number(100 * fit['held_out_gain'], 3)} % of the squared multi-step errors of flights that were left "
-            f"out of its fit.{rest}"
-        )
+        return
+    silent = _channels(content, False)
+    rest = f" Nothing held up for {', '.join(silent)}, which the model leaves to the physics." if silent else ""
+    report.paragraph(
+        f"{learned_by(content)} of {', '.join(content['features'])} adds to {', '.join(_channels(content, True))}. It "
+        f"saves {number(100 * content['fit']['held_out_gain'], 3)} % of the squared multi-step errors of flights that were "
+        f"left out of its fit.{rest}"
+    )
+
+
+def _learned(report: Report, content: Mapping[str, Any]) -> None:
+    report.section("What was learned")
+    fit, learner = content["fit"], content.get("learner", "gp")
+    if not content["null"]:
         report.paragraph(
             "The learned push acts like a force or torque in body axes on top of the physics and is held over each "
             "sample. " + (FAR if learner == "gp" else BEYOND)
@@ -148,14 +156,15 @@ def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
     heads = ["seconds ahead", "RMSE before", "after", "change", "NLPD before", "after", "inside 50 %", "inside 95 %"]
     for g in groups:
         body: list[list[Cell]] = []
+        unit, factor = in_degrees(next(e["unit"] for (n, _), e in after.items() if n == g))
         for h in (h for name, h in after if name == g):
             new, old = after[g, h], before.get((g, h))
             change = None if old is None or not old["rmse"] else 100 * (new["rmse"] / old["rmse"] - 1)
             body.append(
                 [
                     number(seconds[h]),
-                    number(old["rmse"]) if old else None,
-                    number(new["rmse"]),
+                    number(factor * old["rmse"]) if old else None,
+                    number(factor * new["rmse"]),
                     None if change is None else f"{'+' if change > 0 else ''}{number(change, 2)} %",
                     number(old.get("nlpd"), 3) if old else None,
                     number(new.get("nlpd"), 3),
@@ -163,17 +172,19 @@ def _ahead(report: Report, validation: Mapping[str, Any]) -> None:
                     _share(new.get("coverage95"), HONEST),
                 ]
             )
-        report.heading(f"{g.replace('_', ' ')} [{next(e['unit'] for (n, _), e in after.items() if n == g)}]")
+        report.heading(f"{g.replace('_', ' ')} [{unit}]")
         report.table(heads, body, numeric=range(len(heads)))
     report.paragraph(
-        "NLPD is the mean negative log density of the error vectors [nat], lower is better. Inside 50 % and 95 %: share of "
-        f"the error vectors within the region that the learned model states; marked outside {100 * HONEST[0]:g} to "
-        f"{100 * HONEST[1]:g} %."
+        "NLPD is the mean negative log density of the error vectors in SI units [nat], lower is better. Inside 50 % and "
+        f"95 %: share of the error vectors within the region that the learned model states; marked outside "
+        f"{100 * HONEST[0]:g} to {100 * HONEST[1]:g} %."
     )
 
 
 def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]) -> None:
     looks = (("before", "physics", SERIES[3], "--"), ("after", "learned", SERIES[0], "-"))
+    if not groups:
+        return
     panels: list[tuple[Figure, str]] = []
     dt = validation["after"].get("sample_time")
     for g in groups:
@@ -185,9 +196,13 @@ def _curves(report: Report, validation: Mapping[str, Any], groups: Sequence[str]
         if not curves or not dt:
             continue
         steps = max(len(v) for v, *_ in curves.values())
-        unit = next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g)
+        unit, factor = in_degrees(next(e["unit"] for (n, _), e in _cells(validation, "after").items() if n == g))
+        shown = {
+            n: ([None if v is None else factor * v for v in own], colour, style)
+            for n, (own, colour, style) in curves.items()
+        }
         figure = figures.error_growth(
-            [dt * (i + 1) for i in range(steps)], curves, unit=unit, title=g.replace("_", " ")
+            [dt * (i + 1) for i in range(steps)], shown, unit=unit, title=g.replace("_", " ")
         )
         panels.append((figure, f"Mean {g} error against the horizon, logarithmic axes, for {' and '.join(curves)}"))
     if panels:
@@ -264,7 +279,7 @@ def _training(report: Report, content: Mapping[str, Any]) -> None:
 
 
 def _next(report: Report, content: Mapping[str, Any], validation: Mapping[str, Any]) -> None:
-    report.section("What to do next")
+    report.heading("What to do next")
     texts = []
     after, before = _cells(validation, "after"), _cells(validation, "before")
     worse = [

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib import resources
 from typing import Any
 
 LOOKS: Mapping[str, tuple[str, str]] = {
@@ -68,11 +67,6 @@ CSS = """
 def look(name: str) -> tuple[str, str]:
     """(colour, stroke) of a controller."""
     return LOOKS.get(name, ("c4", "dash"))
-
-
-def script() -> str:
-    """The program of the animation."""
-    return (resources.files("greybox.report") / "mpc_animation.js").read_text(encoding="utf-8").strip()
 
 
 def packed(

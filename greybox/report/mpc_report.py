@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures, mpc_figures
-from greybox.report.html import Cell, Key, Report
-from greybox.report.mpc_animation import CSS, look, markup, packed, script
+from greybox.report.html import Cell, Key, Report, script
+from greybox.report.mpc_animation import CSS, look, markup, packed
 from greybox.report.mpc_figures import COLOURS
 from greybox.report.words import number
 
@@ -21,6 +21,7 @@ Row = Mapping[str, Any]
 Traces = Mapping[int, Mapping[str, Any]]
 AXES = ("c1", "c2", "c3")
 """Colours of x, y and z."""
+MARGIN_KEY = (Key(text="worst flight", colour="ink"), Key(text="median flight", colour="ink", stroke="dash"))
 CELL = 0.1
 """Length of the cells of a row's `nearest` [s]."""
 
@@ -38,9 +39,15 @@ def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) 
         titles[what["mode"]],
         f"{flown} flights, {len(found)} controllers, at most {100 * content['level']:g} % of flights may cross a limit",
     )
+    report.first_line(content["verdict"], good=_kept(content))
+    with report.headline():
+        panels = _margin_panels(content, rows, ("tube", content["what"]["plain"]))
+        if panels:
+            report.figures(panels, key=MARGIN_KEY)
+        report.heading("What to do next")
+        report.bullets(content["next"])
     for text in content["warnings"]:
         report.warning(text)
-    _verdict(report, content)
     _flight(report, content, rows, traces)
     _table(report, content)
     _what(report, content)
@@ -49,7 +56,6 @@ def mpc_report(content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) 
     _limits(report, content, traces)
     _times(report, content, rows)
     _events(report, content)
-    _next(report, content)
     _reproduce(report, content)
     return report.html()
 
@@ -58,15 +64,10 @@ def _names(content: Mapping[str, Any]) -> list[str]:
     return [n for n, c in content["controllers"].items() if c["flights"]]
 
 
-def _verdict(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("The short answer")
+def _kept(content: Mapping[str, Any]) -> bool:
+    """Whether the tube kept the limits as often as was asked for."""
     tube = content["controllers"].get("tube", {})
-    good = bool(tube.get("flights")) and tube["p_value"] >= 0.05 and not tube["crashed"]
-    if good:
-        report.verdict(content["verdict"])
-    else:
-        report.warning(content["verdict"])
-        report.paragraph(content["verdict"])
+    return bool(tube.get("flights")) and tube["p_value"] >= 0.05 and not tube["crashed"]
 
 
 def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], traces: Traces) -> None:
@@ -81,7 +82,7 @@ def _flight(report: Report, content: Mapping[str, Any], rows: Sequence[Row], tra
         f"{number(data['ahead'], 2)} s, with ellipses that hold it in 95 of 100 cases. The plan keeps the limits by the "
         "half width of its tube, not by its middle. A cross marks where a controller was deepest beyond a limit."
     )
-    report.live(markup(data), script(), CSS)
+    report.live(markup(data), script("mpc_animation"), CSS)
     _passages(report, content, data)
 
 
@@ -216,23 +217,30 @@ def _tightened(tuning: Mapping[str, Any]) -> str:
 
 
 def _margins(report: Report, content: Mapping[str, Any], rows: Sequence[Row]) -> None:
-    names = [n for n in _names(content) if any(r["controller"] == n for r in rows)]
-    if not names:
+    panels = _margin_panels(content, rows, _names(content))
+    if not panels:
         return
     report.section("How near the limits every controller came")
+    report.figures(
+        panels,
+        key=MARGIN_KEY,
+        caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond it. Gaps: no limit near. "
+        "A crashed flight ends where it left the course.",
+    )
+
+
+def _margin_panels(
+    content: Mapping[str, Any], rows: Sequence[Row], names: Sequence[str]
+) -> list[tuple[Figure, str]]:
+    """Distance to the nearest limit over time of those of the controllers that flew."""
     panels: list[tuple[Figure, str]] = []
-    for name in names:
+    for name in (n for n in names if any(r["controller"] == n for r in rows)):
         mine = [r["nearest"] for r in rows if r["controller"] == name]
         crashes = content["controllers"][name]["crashed"]
         title = f"{name}, {len(mine)} flights" + (f", {crashes} crashed" if crashes else "")
         figure = mpc_figures.margins(mine, CELL, content["course"]["duration"], title=title, colour=look(name)[0])
         panels.append((figure, f"Distance to the nearest limit over time, {name}"))
-    report.figures(
-        panels,
-        key=[Key(text="worst flight", colour="ink"), Key(text="median flight", colour="ink", stroke="dash")],
-        caption="Distance of the true position to the nearest limit; below zero, shaded, is beyond it. Gaps: no limit near. "
-        "A crashed flight ends where it left the course.",
-    )
+    return panels
 
 
 def _first(content: Mapping[str, Any], traces: Traces, name: str) -> Mapping[str, Any] | None:
@@ -383,11 +391,6 @@ def _events(report: Report, content: Mapping[str, Any]) -> None:
         "the filter leaves out, or lets count in part. No measurement, calls did not come: the filter predicts. Descent "
         "declared: the path is given up, straight down at half a metre a second.",
     )  # fmt: skip
-
-
-def _next(report: Report, content: Mapping[str, Any]) -> None:
-    report.section("What to do next")
-    report.bullets(content["next"])
 
 
 def _reproduce(report: Report, content: Mapping[str, Any]) -> None:

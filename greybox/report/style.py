@@ -42,12 +42,14 @@ none; } :focus-visible { outline: 3px solid var(--c1); outline-offset: 2px; }
 .good { border-left: 5px solid var(--c3); background: var(--raised); padding: .6rem 1rem; max-width: 60rem; }
 .scroll { overflow-x: auto; margin: .8rem 0 .3rem; max-width: 100%; }
 table { border-collapse: collapse; font-size: .9rem; line-height: 1.4; }
-th, td { padding: .32rem .8rem .32rem 0; text-align: left; vertical-align: baseline; border-bottom: 1px solid
+th, td { padding: .32rem .7rem .32rem 0; text-align: left; vertical-align: baseline; border-bottom: 1px solid
 var(--line); } th { font-weight: 600; color: var(--muted); white-space: nowrap; }
 tbody th { color: var(--ink); font-weight: 500; }
 th.n, td.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 td { white-space: nowrap; }
 td.t, table.facts td { white-space: normal; min-width: 12rem; }
+table.wide { font-size: .84rem; }
+table.wide th, table.wide td { padding-right: .55rem; }
 table:not(.facts) tbody th { position: sticky; left: 0; background: var(--ground); }
 .columns { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 28rem), 1fr)); gap: 0 2rem; }
 .columns > * { min-width: 0; }
@@ -56,9 +58,9 @@ table.facts td { overflow-wrap: anywhere; }
 .caption, figcaption { color: var(--muted); font-size: .88rem; max-width: 60rem; margin: .2rem 0 1.2rem; }
 .tag { display: inline-block; font-size: .78rem; line-height: 1.4; padding: 0 .45rem; border-radius: 3px; white-space:
 nowrap; color: var(--warn); background: var(--warn-ground); border: 1px solid var(--warn-line); }
-.bar { display: inline-block; width: 3.2rem; height: .55rem; margin-left: .5rem; background: var(--line); }
+.bar { display: inline-block; width: 2rem; height: .55rem; margin-left: .4rem; background: var(--line); }
 .bar i { display: block; height: 100%; background: var(--c1); }
-.span { display: inline-block; position: relative; width: 7rem; height: .8rem; }
+.span { display: inline-block; position: relative; width: 6rem; height: .8rem; }
 .span i { position: absolute; }
 .span .prior { top: 0; height: .8rem; background: var(--line); }
 .span .estimate { top: .25rem; height: .3rem; background: var(--c1); }
@@ -70,6 +72,15 @@ figure { margin: .8rem 0; }
 figure svg { display: block; width: 100%; height: auto; }
 figure svg text { font-family: var(--sans); }
 figure svg * { stroke-linejoin: round; stroke-linecap: butt; }
+figure svg:focus:not(:focus-visible) { outline: none; }
+figure svg[data-axes] { touch-action: pan-y; cursor: crosshair; }
+figure svg .own line { stroke: var(--line); stroke-width: .6; }
+figure svg .own text { font-size: 8.5px; fill: var(--muted); }
+figure svg .cursor { pointer-events: none; }
+figure svg .cursor line { stroke: var(--muted); stroke-width: .8; }
+figure svg .cursor text { font-size: 8px; paint-order: stroke; stroke: var(--ground); stroke-width: 3px; }
+figure svg .mark { fill: var(--c1); opacity: .15; }
+.said { position: absolute; left: -999px; width: 1px; height: 1px; overflow: hidden; }
 .key { display: flex; flex-wrap: wrap; gap: .1rem 1.2rem; font-size: .88rem; margin: .2rem 0 .5rem; padding: 0;
 list-style: none; max-width: none; }
 .key span { display: inline-block; width: 1.6rem; margin-right: .45rem; vertical-align: .25em; border-top: 2.5px solid;
@@ -83,7 +94,7 @@ footer { color: var(--muted); font-size: .85rem; margin-top: 3rem; }
   #2a7d4b; --c4: #777; --c5: #8141b5; --warn: #5c3c00; --warn-ground: #fff; --warn-line: #777; }
   body { font-size: 10pt; }
   main { max-width: none; padding: 0; }
-  nav, .skip { display: none; }
+  nav, .skip, .hint, .cursor { display: none; }
   .scroll { overflow: visible; }
   figure svg, tr, .warnings { break-inside: avoid; }
   h2, h3, summary { break-after: avoid; }

@@ -7,6 +7,7 @@ well on light and on dark ground. Nothing of pyplot is touched, and a figure lea
 from __future__ import annotations
 
 import io
+import json
 import re
 import warnings
 from html import escape
@@ -60,6 +61,8 @@ def to_svg(figure: Figure, *, name: str, label: str) -> str:
     body = text[len(head) :]
     for colour, variable in _VARIABLES.items():
         body = body.replace(colour, f"var({variable})")
+    for name_, kind in _MARKED:
+        body = re.sub(rf'<g id="{name_}\d+"', f'<g class="{kind}"', body)
     body = re.sub(r'<g id="[^"]*"', "<g", body)
     body = re.sub(r'\bid="([^"]*)"', rf'id="{name}-\1"', body)
     body = re.sub(r'(?:xlink:)?href="#([^"]*)"', rf'href="#{name}-\1"', body)
@@ -73,4 +76,35 @@ def to_svg(figure: Figure, *, name: str, label: str) -> str:
     width = float(box.group(1).split()[2])
     # Points of the drawing, times 1.36, are CSS pixels at the largest size that a figure is shown at.
     style = f"max-width: {1.36 * width:.0f}px"
-    return f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(label)}" style="{style}">{body}'.strip()
+    live = f' data-axes="{escape(json.dumps(found))}"' if (found := _curves_only(figure)) else ""
+    return f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(label)}"{live} style="{style}">{body}'.strip()
+
+
+_MARKED = (("axes_", "axes"), ("xtick_", "tx"), ("ytick_", "ty"), ("line2d_", "curve"))
+"""Groups of matplotlib's SVG that page.js looks for, by the beginning of their id, with their class."""
+
+
+def _curves_only(figure: Figure) -> list[dict[str, object]]:
+    """For page.js, of every axes: its box (left, top, right, bottom) on the drawing, its ranges and scales, what its
+    axes are called. Empty where anything but curves is drawn: such a figure stays as it is."""
+    width, height = (72.0 * float(v) for v in figure.get_size_inches())
+    found: list[dict[str, object]] = []
+    for axes in figure.axes:
+        markers = [line.get_marker() for line in axes.lines]
+        if not markers or any(m not in ("None", None, "") for m in markers) or axes.collections or axes.patches:
+            return []
+        place = axes.get_position()
+        box = (place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height)
+        x, y = axes.get_xlim(), axes.get_ylim()
+        if not (x[1] > x[0] and y[1] > y[0]):
+            return []
+        found.append(
+            {
+                "box": [round(float(v), 2) for v in box],
+                "x": [float(v) for v in x], "y": [float(v) for v in y],
+                "logx": axes.get_xscale() == "log", "logy": axes.get_yscale() == "log",
+                "name": axes.get_ylabel() or axes.get_title(loc="left"),
+            }
+        )  # fmt: skip
+    title = next((a.get_xlabel() for a in reversed(figure.axes) if a.get_xlabel()), "")
+    return [{**a, "title": title} for a in found]

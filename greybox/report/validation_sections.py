@@ -77,12 +77,16 @@ HEADLINE = (("position", "velocity"), ("rotation",), ("rate",))
 """Of each, the first channel group that was judged stands in the headline."""
 
 
+def headline_groups(groups: Sequence[str]) -> list[str]:
+    """Those of the channel groups that stand in a headline: where a craft is and how it turns; of other models the
+    first three."""
+    unique = list(dict.fromkeys(groups))
+    return [g for names in HEADLINE if (g := next((n for n in names if n in unique), None))] or unique[:3]
+
+
 def headline_figure(report: Report, validation: Mapping[str, Any]) -> None:
-    """Error against horizon between ceiling and floor, of where a craft is and how it turns; of other
-    models the first three groups. Nothing where no group was judged."""
-    groups = _groups(validation)
-    chosen = [g for names in HEADLINE if (g := next((n for n in names if n in groups), None))]
-    panels, key = _growth(validation, chosen or groups[:3])
+    """Error against horizon between ceiling and floor. Nothing where no group was judged."""
+    panels, key = _growth(validation, headline_groups(_groups(validation)))
     if panels:
         report.figures(panels, key=key)
 
@@ -217,6 +221,7 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
             caption=f"Autocorrelation of the innovations; grey: where {100 * whiteness['level']:g} % of the lags of "
             "white noise lie; orange: outside.",
         )
+        _spectra(report, whiteness, validation.get("sample_time"))
         body: list[list[Cell]] = [
             [
                 name,
@@ -244,6 +249,26 @@ def residual_section(report: Report, validation: Mapping[str, Any], *, worst: in
         )
     if cross:
         _cross(report, cross, worst)
+
+
+def _spectra(report: Report, whiteness: Mapping[str, Any], sample_time: float | None) -> None:
+    """Cumulated periodograms; nothing where they were not kept."""
+    kept = {n: c for n, c in whiteness["channels"].items() if c.get("periodogram") and c.get("periodogram_band")}
+    if not kept or not sample_time:
+        return
+    panels = [
+        (
+            figures.cumulated(c["periodogram"], c["periodogram_band"], sample_time=sample_time, title=name),
+            f"Share of the variance of innovation {name} below each frequency, with the band of white noise",
+        )
+        for name, c in kept.items()
+    ]
+    report.figures(
+        panels,
+        caption="Cumulated periodograms: white noise rises straight and stays between the dashed lines "
+        f"{100 * whiteness['level']:g} % of the time. Early rise (orange): slow errors are left, as of drag or wind; late "
+        "rise: vibration or noise that a sensor adds.",
+    )
 
 
 def _cross(report: Report, cross: Mapping[str, Any], worst: int) -> None:

@@ -20,7 +20,7 @@ import scipy.stats
 
 from greybox.errors import DataError
 from greybox.statistics.correlation import check_lags, predictable_share
-from greybox.statistics.whiteness import Portmanteau, autocorrelation, hosking, ljung_box
+from greybox.statistics.whiteness import Portmanteau, autocorrelation, cumulated_periodogram, hosking, ljung_box
 from greybox.symbolic import FloatArray
 from greybox.validation.samples import names_for, stretches
 
@@ -30,8 +30,9 @@ class ChannelWhiteness:
     """Whiteness of one innovation component.
 
     `r` (max_lag,) is the autocorrelation at lags 1.., `band` (max_lag,) its half-width if white. `outside` is the share
-    of lags outside the band, `predictable` the share of variance that the component's own past explains, `mean` and
-    `std` those of the component (0 and 1 for normalised innovations of the right model).
+    of lags outside the band, `periodogram` and `periodogram_band` what `cumulated_periodogram` gives, `predictable` the
+    share of variance that the component's own past explains, `mean` and `std` those of the component (0 and 1 for
+    normalised innovations of the right model).
     """
 
     name: str
@@ -43,6 +44,8 @@ class ChannelWhiteness:
     band: FloatArray
     outside: float
     predictable: float
+    periodogram: FloatArray
+    periodogram_band: float
     test: Portmanteau
 
     def to_dict(self) -> dict[str, Any]:
@@ -55,7 +58,8 @@ class ChannelWhiteness:
             "outside": self.outside,
             "predictable": self.predictable,
         }
-        return {**plain, **self.test.to_dict(), "r": self.r.tolist(), "band": self.band.tolist()}
+        spectrum = {"periodogram": self.periodogram.tolist(), "periodogram_band": self.periodogram_band}
+        return {**plain, **self.test.to_dict(), "r": self.r.tolist(), "band": self.band.tolist(), **spectrum}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +128,7 @@ def whiteness(
         n, r, pairs = seen.n, seen.r, seen.pairs
         band = np.where(pairs > 0, z / np.sqrt(np.maximum(pairs, 1.0)), np.inf)
         everything = np.concatenate(column)[:, 0]
+        share, width = cumulated_periodogram(column, level=level)
         channels.append(
             ChannelWhiteness(
                 name=name,
@@ -136,6 +141,8 @@ def whiteness(
                 outside=float(np.mean(np.abs(r) > band)),
                 # Weighting by the share of pairs keeps the sequence positive definite for full records.
                 predictable=predictable_share(r * pairs / n),
+                periodogram=share,
+                periodogram_band=width,
                 test=ljung_box(seen, fitted=fitted),
             )
         )

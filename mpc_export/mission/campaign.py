@@ -29,6 +29,7 @@ from greybox.files import (
     write_atomic,
     write_json,
 )
+from greybox.progress import TimeLeft
 from greybox.residual.files import load_model
 from greybox.symbolic import FloatArray
 from mpc_export.mission.flight import (
@@ -184,6 +185,7 @@ def flights(
     if done and todo:
         say(f"{done} of {total} flights are there already")
 
+    left, before = TimeLeft(), done
     for row in _run(hangar, todo, jobs, near, watched):
         trace = row.pop("trace", None)
         if trace is not None:
@@ -191,7 +193,8 @@ def flights(
         rows[row["controller"], row["seed"]] = row
         append_json_line(path, row)
         done += 1
-        say(f"{done} of {total}: {row['controller']}, flight {row['seed']}: {told(row)}")
+        rest = left.after((done - before) / len(todo))
+        say(f"{done} of {total}: {row['controller']}, flight {row['seed']}: {told(row)}{rest}")
     return kept(campaign, entries, seeds, log=log)
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BASE = ("symbolic", "frames", "errors", "files", "runs", "cores", "interrupts", "shown", "plots", "distribution")
+BASE = ("symbolic", "frames", "errors", "files", "runs", "cores", "interrupts", "progress", "shown", "plots", "distribution")
 ROOMS = (
     "statistics", "plants", "excitation", "examples", "data", "model", "estimation", "validation", "automatic", "residual",
     "simulators", "planning", "discovery",

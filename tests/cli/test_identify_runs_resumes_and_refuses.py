@@ -21,7 +21,7 @@ import pytest
 import greybox as gb
 from greybox.cli import main
 from greybox.commands.chain.choice import MARGIN, better
-from greybox.commands.chain.left import TRUST, in_words, seconds_left, typical
+from greybox.commands.chain.left import TRUST, seconds_left, typical
 from greybox.commands.chain.record import FILE, StageRecord
 from greybox.commands.chain.stages import STAGES
 from greybox.excitation.injection import rich_excitation
@@ -32,6 +32,7 @@ from greybox.plants.effects import MotorLag
 from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for, x250
 from greybox.plants.vehicle_file import write_vehicle
+from greybox.progress import in_words
 from greybox.residual.files import load_model, save_model
 from tests.data.readers import writers as w
 

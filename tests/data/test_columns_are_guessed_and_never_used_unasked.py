@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +81,18 @@ def test_a_stranger_is_told_what_to_do(
     assert "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml" in capsys.readouterr().out
     assert main(["inspect", "log.csv.gz", "--vehicle", "mine.toml"]) == 0
     assert "greybox fit --vehicle mine.toml --train log.csv.gz" in capsys.readouterr().out
+
+
+def test_the_way_on_can_be_typed_for_a_file_from_windows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A byte order mark, CRLF, a blank and letters beyond ASCII in the name: what is printed runs as it is printed."""
+    monkeypatch.chdir(tmp_path)
+    text = gzip.decompress(flight_path("arpl_crazyflie", "log16").read_bytes()).decode()
+    lines = text.splitlines()[:4000]
+    Path("mein Flug ä.csv").write_bytes("\r\n".join(lines).encode("utf-8-sig"))
+    assert main(["inspect", "mein Flug ä.csv"]) == 1
+    for wanted in ("--draft", "--mapping"):
+        typed = re.findall(rf"greybox (inspect .*{wanted} \S+)", capsys.readouterr().out)
+        assert main(shlex.split(typed[0])) == (1 if wanted == "--draft" else 0)
+    assert "usable" in capsys.readouterr().out

@@ -15,7 +15,7 @@ import pytest
 from greybox.commands.model_options import fit_options, model_options
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.workflow import discover
-from greybox.errors import UnknownNameError
+from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.fit import LinearChoices, LinearSetup, Record, fit_linear
 from greybox.estimation.options import FitChoices, FitOptions
@@ -110,3 +110,10 @@ def test_options_as_plain_values_leave_out_defaults():
     assert FitOptions().to_dict() == {}
     said = FitOptions(predictor=MultiStep(stride=5), priors={"mass": (1.0, np.float64(0.1))}, free=()).to_dict()
     assert said == {"predictor": "multi-step", "priors": {"mass": [1.0, 0.1]}, "free": []}
+
+
+@pytest.mark.parametrize("name", ["disturbance", "fixed", "free", "per_flight"])
+def test_a_list_of_names_given_as_one_text_is_refused_in_one_line(name: str):
+    with pytest.raises(GreyboxError, match=r"takes a list of names.*\['force', 'torque'\]") as told:
+        FitOptions.of(None, {name: "force, torque"})  # type: ignore[misc]
+    assert "\n" not in str(told.value)

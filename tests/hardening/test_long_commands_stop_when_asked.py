@@ -73,7 +73,10 @@ def interrupted(arguments: list[str], sign: str, folder: Path) -> str:
     # A shell calls both 130: Python ends itself with the signal where the interrupt passed through an import.
     assert code in (130, -signal.SIGINT), text
     assert "Traceback" not in text
-    assert said[-1] == f"greybox {arguments[0]}: interrupted\n"
+    assert said[-1].startswith(f"greybox {arguments[0]}: interrupted; ")
+    assert said[-1].count("\n") == 1
+    # What is said to have been kept is there, and nothing is where nothing is said to be.
+    assert ("nothing was written" in said[-1]) == (not any(p.is_file() for p in (folder / "out").rglob("*")))
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     return text

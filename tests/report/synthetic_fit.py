@@ -10,7 +10,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from greybox.files import dump_json
+from greybox.frames import numeric
 from greybox.report.flight_section import ChannelSeries, FlightSeries
+from greybox.report.replay import ORIGINS, Replay
 from greybox.validation.coverage import LEVELS, interval_coverage
 from greybox.validation.cross_correlation import cross_correlation
 from greybox.validation.horizon import HorizonAccumulator
@@ -161,8 +163,27 @@ def make_flights(n: int = 3880) -> dict[str, FlightSeries]:
                 one_step=clean + 0.01 * rng.standard_normal(n),
                 ahead=clean + 1.5 * drift,
             )
-        flights[name] = FlightSeries(t=t, channels=channels, role="test" if i < 2 else "train")
+        role = "test" if i < 2 else "train"
+        flights[name] = FlightSeries(t=t, channels=channels, role=role, replay=make_replay(n * 0.01))
     return flights
+
+
+def make_replay(seconds: float) -> Replay:
+    """A craft that flies a figure eight and leans into it; the model leaves it by 0.3 m and 10 degrees in a second."""
+
+    def poses(t: np.ndarray, off: np.ndarray) -> np.ndarray:
+        place = np.column_stack([2 * np.sin(0.7 * t), np.sin(1.4 * t) + 0.3 * off**2, 1.5 + 0.3 * np.sin(0.3 * t)])
+        angles = np.column_stack([0.4 * np.sin(1.4 * t) + np.radians(10) * off, -0.3 * np.cos(0.7 * t), 0.2 * t])
+        return np.hstack([place, numeric("from_euler", angles)])
+
+    step, k = 0.05, 20
+    stride = max(0.1, seconds / ORIGINS)
+    t = np.arange(0, seconds, step)
+    origins = np.arange(0, seconds - 1 - stride, stride)
+    grid = origins[:, None] + step * np.arange(k + 1)
+    off = np.broadcast_to(step * np.arange(k + 1), grid.shape)
+    predicted = poses(grid.ravel(), off.ravel()).reshape(*grid.shape, 7)
+    return Replay(begin=0.0, step=step, stride=stride, measured=poses(t, 0 * t), predicted=predicted)
 
 
 def make_validation() -> dict[str, Any]:

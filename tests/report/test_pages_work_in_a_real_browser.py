@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import importlib.util
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,8 +15,10 @@ import pytest
 
 from greybox.report.discover_report import discover_report
 from greybox.report.fit_report import fit_report
+from greybox.report.identify_report import identify_report
 from greybox.report.learn_report import learn_report
 from tests.discovery.test_the_report_tells_every_verdict import content as discovery
+from tests.report.identified import identified
 from tests.report.synthetic_fit import make_fit, make_flights, make_validation
 from tests.residual.test_learn_report_says_what_was_learned import content as learned
 
@@ -24,6 +27,7 @@ pytestmark = pytest.mark.skipif(
     reason="Chromium, its driver or selenium (extra `test`) is not installed",
 )
 PAGES = {
+    "identify": lambda: identify_report(identified(), {}, links={}, validation=make_validation()),
     "fit": lambda: fit_report(make_fit(), make_flights(), make_validation()),
     "discover": lambda: discover_report(discovery()),
     "learn": lambda: learn_report(learned()),
@@ -115,20 +119,16 @@ def test_the_keyboard_reaches_every_link_fold_and_table_that_scrolls(page: Any):
 
     size(page, *DESKTOP)
     wanted = page.execute_script(
-        "const all = [...document.querySelectorAll('a[href], summary, button, input, [tabindex=\"0\"]')];"
-        "return all.filter(e => e.checkVisibility()).length"
+        "const all = [...document.querySelectorAll('a[href], summary, button, input, select, [tabindex=\"0\"]')];"
+        "window.wanted = all.filter(e => e.checkVisibility()); return window.wanted.length"
     )
     page.execute_script("document.activeElement.blur(); window.scrollTo(0, 0)")
     seen = set()
     for _ in range(wanted + 5):
         page.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
-        seen.add(
-            page.execute_script(
-                "return document.activeElement.outerHTML.slice(0, 300) + document.activeElement.offsetTop"
-            )
-        )
+        seen.add(page.execute_script("return window.wanted.indexOf(document.activeElement)"))
     assert wanted > 0
-    assert len(seen) >= wanted
+    assert seen >= set(range(wanted))
 
 
 def test_it_is_there_within_a_second(page: Any):
@@ -153,9 +153,7 @@ def test_axe_finds_nothing_serious(page: Any):
 
 
 def test_the_first_screen_is_the_headline(page: Any):
-    """What the page says first, its figure and what to do next are seen without scrolling (of a fit)."""
-    if page.title != "Fit of quadrotor":
-        pytest.skip("another page")
+    """What the page says first, its figure and what to do next are seen without scrolling."""
     size(page, *DESKTOP)
     ends = page.execute_script(
         "window.scrollTo(0, 0); const end = e => e.getBoundingClientRect().bottom;"
@@ -164,6 +162,89 @@ def test_the_first_screen_is_the_headline(page: Any):
     )
     assert ends == sorted(ends)
     assert ends[-1] < DESKTOP[1]
+
+
+def flight_figures(page: Any) -> list[Any]:
+    """The curves of the first flight on the page of a fit."""
+    if page.title != "Fit of quadrotor":
+        pytest.skip("another page")
+    size(page, *DESKTOP)
+    found = page.find_elements("css selector", "details svg[data-axes]")
+    page.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", found[0])
+    return found
+
+
+LABELS = "return [...arguments[0].querySelectorAll('.own text')].map(t => t.textContent)"
+
+
+def test_a_drag_zooms_all_figures_of_the_same_time_and_a_double_click_takes_it_back(page: Any):
+    from selenium.webdriver import ActionChains
+
+    figures = flight_figures(page)
+    first, beside = figures[0], figures[1]
+    assert page.execute_script(LABELS, first) == []
+    paths = "return arguments[0].querySelector('.axes > .curve > path').getAttribute('d')"
+    before = page.execute_script(paths, beside)
+    ActionChains(page).move_to_element_with_offset(first, -40, 0).click_and_hold().move_by_offset(90, 0).release().perform()
+    assert len(page.execute_script(LABELS, first)) > 6
+    assert page.execute_script(LABELS, beside) != []
+    assert page.execute_script(paths, beside) != before
+    assert page.execute_script(LABELS, figures[3]) == []  # the whole flight keeps its own range
+    ActionChains(page).double_click(first).perform()
+    assert page.execute_script(LABELS, beside) == []
+    assert page.execute_script(paths, beside) == before
+    assert page.get_log("browser") == []
+
+
+def test_the_cursor_tells_by_mouse_and_by_keyboard_what_the_curves_are_there(page: Any):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    figures = flight_figures(page)
+    ActionChains(page).move_to_element(figures[0]).perform()
+    shown = [f for f in figures if page.execute_script("return !!arguments[0].querySelector('.cursor')", f)]
+    assert len(shown) == 6  # three panels of the liveliest seconds, three of the whole flight
+    page.execute_script("arguments[0].focus()", figures[3])
+    figures[3].send_keys(Keys.ARROW_RIGHT)
+    said = page.execute_script("return document.querySelector('.said').textContent")
+    at, *values = re.findall("[\N{MINUS SIGN}]?\\d+\\.?\\d*", said.replace(" [m]", ""))
+    assert said.startswith("time [s] ")
+    x = next(iter(make_flights().values())).channels["x"].measured
+    near = x[round(float(at) * 100) - 15 : round(float(at) * 100) + 15]
+    assert near.min() - 0.1 <= float(values[0].replace("\N{MINUS SIGN}", "-")) <= near.max() + 0.1
+    figures[3].send_keys("+")
+    assert page.execute_script(LABELS, figures[3]) != []
+    figures[3].send_keys("0")
+    assert page.execute_script(LABELS, figures[3]) == []
+
+
+def test_the_ghost_is_where_the_model_said_and_its_distance_is_right(page: Any):
+    flight_figures(page)
+    move = (
+        "const r = document.querySelector('.replay'), [t, h] = r.querySelectorAll('input');"
+        "t.value = arguments[0]; h.value = arguments[1];"
+        "t.dispatchEvent(new Event('input')); h.dispatchEvent(new Event('input'));"
+        "const c = r.querySelector('canvas');"
+        "return [r.querySelector('output').textContent, c.toDataURL().length, c.width]"
+    )
+    # The made-up model is 0.3 h^2 m off after h seconds, and turned by 10 h degrees.
+    for horizon, off, angle in ((0.5, 7.5, 5.0), (1.0, 30.0, 10.0)):
+        said, drawn, width = page.execute_script(move, 12.0, horizon)
+        numbers = [float(v) for v in re.findall(r"\d+\.\d+", said)]
+        assert numbers == [12.0, horizon, pytest.approx(off, abs=0.3), pytest.approx(angle, abs=0.2)]
+        assert drawn > 5000
+        assert width > 600
+    assert page.get_log("browser") == []
+
+
+@pytest.mark.parametrize("width", [1200, 1280])
+def test_no_table_of_the_page_is_cut_off_on_a_desk(page: Any, width: int):
+    size(page, width, 900)
+    cut = page.execute_script(
+        "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+        ".map(e => e.textContent.slice(0, 60))"
+    )
+    assert cut == []
 
 
 def test_it_prints_to_paper(page: Any):

@@ -10,10 +10,16 @@ import pytest
 from synthetic_fit import make_fit, make_validation
 
 from greybox.frames import numeric
+from greybox.report.discover_report import discover_report
 from greybox.report.fit_report import fit_report
 from greybox.report.flight_section import ChannelSeries, FlightSeries, _with_angles
 from greybox.report.html import Report, Span
+from greybox.report.identify_report import identify_report
+from greybox.report.learn_report import learn_report
 from greybox.validation.gap import closed_in_words
+from tests.discovery.test_the_report_tells_every_verdict import content as discovery
+from tests.report.identified import identified
+from tests.residual.test_learn_report_says_what_was_learned import content as learned
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +97,22 @@ def test_every_estimate_with_a_spread_has_a_t(page: str):
     assert row is not None
     assert re.findall(r">([^<>]+)</td>", row[1])[2] == "164"
     assert "standard deviations of the prior from its middle" in row[1]
+
+
+PLACES = {
+    "discover": (lambda: discover_report(discovery()), ["MISSING: rotor_drag", "<figure>", "What to do next</h3>", "<nav"]),
+    "learn": (lambda: learn_report(learned()), ["NOT JUDGED", "<figure>", "What to do next</h3>", 'class="warnings"']),
+    "identify": (
+        lambda: identify_report(identified(), {}, links={}, validation=make_validation()),
+        ["USABLE", "<figure>", "What to do next</h3>", "<nav", "Stages</h2>"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_every_page_has_its_result_its_figure_and_the_next_step_before_all_else(name: str):
+    make, order = PLACES[name]
+    page = make()
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+    assert page.index("How to reproduce this</h2>") == page.rindex("</h2>") - len("How to reproduce this")

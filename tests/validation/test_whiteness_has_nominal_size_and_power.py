@@ -1,5 +1,7 @@
 """The whiteness tests alarm as often as they say on white noise, and always on an autoregression."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from greybox.errors import DataError
+from greybox.statistics.whiteness import PERIODOGRAM_POINTS, cumulated_periodogram
 from greybox.validation.whiteness import whiteness
 
 DRAWS = 200
@@ -110,3 +113,33 @@ def test_text_names_every_channel() -> None:
     text = whiteness(np.random.default_rng(0).standard_normal((300, 2)), names=["p", "q"], max_lag=5).format()
     assert "p" in text
     assert "all channels together" in text
+
+
+def left_the_band(make: Callable[[np.random.Generator], np.ndarray], runs: int) -> float:
+    """Share of records of which the cumulated periodogram leaves the band of white noise."""
+    line = np.linspace(0.0, 1.0, PERIODOGRAM_POINTS)
+    out = 0
+    for k in range(runs):
+        share, band = cumulated_periodogram([make(np.random.default_rng(k))[:, None]])
+        out += bool(np.any(np.abs(share - line) > band))
+    return out / runs
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+def test_a_cumulated_periodogram_of_white_noise_stays_in_its_band(missing: float) -> None:
+    def white(rng: np.random.Generator) -> np.ndarray:
+        return np.where(rng.random(600) < missing, np.nan, 3.0 + rng.standard_normal(600))
+
+    # The band is that of the whole curve, of which 51 points are looked at: at most 5 %.
+    assert 0.005 < left_the_band(white, 600) < 0.06
+
+
+def test_a_cumulated_periodogram_shows_where_the_power_is() -> None:
+    assert left_the_band(lambda rng: lfilter([1.0], [1.0, -0.3], rng.standard_normal(600)), 100) > 0.95
+    share, _ = cumulated_periodogram([np.sin(2 * np.pi * 0.1 * np.arange(1000))[:, None]])
+    grid = np.linspace(0.0, 0.5, PERIODOGRAM_POINTS)
+    assert share[grid < 0.095].max() < 0.01
+    assert share[grid > 0.105].min() > 0.99
+    both = [np.random.default_rng(1).standard_normal((400, 1)), np.random.default_rng(2).standard_normal((101, 1))]
+    assert cumulated_periodogram(both)[0][-1] == pytest.approx(1.0)
+    assert cumulated_periodogram([np.ones((50, 1))]) == (pytest.approx(np.zeros(PERIODOGRAM_POINTS)), np.inf)

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from greybox.data.inspection import inspect_log
 from greybox.errors import VehicleError
 from greybox.files import write_atomic
 from greybox.model.vehicle_from_log import vehicle_from_log
@@ -24,6 +25,9 @@ def guessed_vehicle(
     """
     path = out / FILE
     found = vehicle_from_log(logs[0])
+    # Before anybody weighs a craft for it.
+    if unfit := inspect_log(logs[0]).unfit:
+        say(f"this log cannot be fitted ({'; '.join(unfit)}): greybox inspect {shlex.quote(logs[0])} says what to log")
     for line in found.known:
         say(f"from the log: {line}")
     for line in found.to_measure:

@@ -38,12 +38,3 @@ def seconds_left(
     measured = TRUST + sum(r.seconds for r in ended)
     expected = TRUST + sum(typical(by_name[r.name], flown) for r in ended)
     return measured / expected * sum(typical(by_name[n], flown) for n in open_stages)
-
-
-def in_words(seconds: float) -> str:
-    """About how long, rounded as a person would."""
-    if seconds < 90:
-        return f"about {max(10, round(seconds, -1)):.0f} s left"
-    if seconds < 5400:
-        return f"about {seconds / 60:.0f} min left"
-    return f"about {seconds / 3600:.1f} h left"

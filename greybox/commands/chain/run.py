@@ -13,13 +13,13 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 from greybox.commands.chain.choice import Choice, best, verdict_of
-from greybox.commands.chain.left import flight_seconds, in_words, seconds_left
+from greybox.commands.chain.left import flight_seconds, seconds_left
 from greybox.commands.chain.record import Outcome, StageRecord, read_record, write_record
 from greybox.commands.chain.request import Request, Skip, SoFar, Stage, Work
 from greybox.commands.chain.stages import NAMES, STAGES
@@ -27,6 +27,7 @@ from greybox.distribution import VERSION
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import checksum, file_sha256, read_json, write_atomic
 from greybox.model.verdict import NOT_JUDGED
+from greybox.progress import in_words
 from greybox.report.identify_report import identify_report
 
 Say = Callable[[str], None]
@@ -232,6 +233,12 @@ class _Chain:
             verdict=None if verdict is None else verdict.to_dict(),
         )
 
+    def _validation(self, model: Path) -> Mapping[str, object] | None:
+        """Errors ahead of the model that came out: of its own stage, else as its fit saw them."""
+        ran = self.so_far.ran("validate")
+        found = (self.folders["validate"] if ran else model.parent) / "validate.json"
+        return read_json(found) if found.exists() else None
+
     def _end(self, outcome: Outcome) -> Result:
         """Write the record and the page, whatever happened."""
         records = self._records() if outcome.stopped else self.done
@@ -240,6 +247,7 @@ class _Chain:
             read_json(self.request.out / "identify.json"),
             {s.name: s.about for s in self.stages},
             links={r.name: _links(self.folders[r.name]) for r in records.values()},
+            validation=None if outcome.stopped else self._validation(Path(outcome.model)),
         )
         write_atomic(self.request.out / "report.html", page)
         return Result(

@@ -1,0 +1,35 @@
+"""The option --mcap, without what writing a recording needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+
+def mcap_option(p: Any) -> None:
+    """Declare --mcap."""
+    p.add_argument(
+        "--mcap", metavar="F.mcap", default=None,
+        help="also write the flights beside the model's predictions, with innovations, force and torque, for Foxglove, "
+        "Rerun or PlotJuggler",
+    )  # fmt: skip
+
+
+def need_mcap(path: str | None) -> None:
+    """Raises `DataError` for another ending, and where the library is not there: before any work."""
+    if path is None:
+        return
+    from greybox.data.readers.recording import library
+    from greybox.errors import DataError
+
+    if Path(path).suffix.lower() != ".mcap":
+        raise DataError("a recording ends in .mcap", where="--mcap", got=path, fix=f"--mcap {Path(path).stem}.mcap")
+    library("mcap.writer", where="--mcap", what="a recording for Foxglove")
+
+
+def write_if_asked(path: str | None, model: Any, *datasets: Any, adapted: Any = None) -> None:
+    """Write the recording of flights beside a model, where one was asked for."""
+    if path is not None:
+        from greybox.commands.mcap_out import write_mcap
+
+        write_mcap(path, model, *datasets, adapted=adapted)

@@ -1,0 +1,126 @@
+"""`--mcap` writes what Foxglove reads: every message follows its schema, and the numbers are those of the flight."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from greybox.cli import main
+from greybox.data.logs import read_logs
+from greybox.excitation.hover import Hover
+from greybox.excitation.injection import rich_excitation
+from greybox.model.identified import IdentifiedModel
+from greybox.plants.flight_log import fly, member, write_log
+from greybox.plants.presets import controller_for
+from greybox.plants.vehicle_file import write_vehicle
+from scenarios.studies.recovery import plant
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("mcap") is None, reason="the extra `logs` is not installed"),
+]
+Messages = list[tuple[float, dict[str, Any]]]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("a recording of Flüge")
+    true_plant = plant()
+    log = fly(true_plant, controller_for(true_plant), Hover(), rich_excitation(), 3.0, seed=[1, 2], warm_up=0.5)
+    write_log(folder / "a.csv", member(log, 0), drop=["omega"])
+    write_log(folder / "b.csv", member(log, 1), drop=["omega"])
+    write_vehicle(folder / "v.toml", true_plant, sigma={"inertia": 0.2, "thrust.c2": 0.2})
+    words = ["--vehicle", str(folder / "v.toml"), "--train", str(folder / "a.csv"), "--test", str(folder / "b.csv")]
+    effects = "motor_lag,command_delay,rotor_drag,rotational_damping"
+    code = main(["fit", *words, "--manual", "--effects", effects, "--disturbance", "force,torque",
+                 "--out", str(folder / "fit"), "--mcap", str(folder / "fit.mcap")])  # fmt: skip
+    assert code in (0, 1)
+    return folder
+
+
+def read(path: Path) -> dict[str, Messages]:
+    """Topic -> (seconds, message); every message is held against the schema in the file."""
+    from mcap.reader import make_reader
+
+    found: dict[str, Messages] = {}
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            content = json.loads(message.data)
+            rules = json.loads(schema.data)
+            jsonschema.Draft202012Validator.check_schema(rules)
+            jsonschema.validate(content, rules)
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            stamp = content["timestamp"]
+            assert stamp["sec"] * 10**9 + stamp["nsec"] == message.log_time
+            assert rules["title"] == schema.name or not schema.name.startswith("foxglove.")
+            found.setdefault(channel.topic, []).append((message.log_time / 1e9, content))
+    return found
+
+
+@pytest.fixture(scope="module")
+def messages(run: Path) -> dict[str, Messages]:
+    return read(run / "fit.mcap")
+
+
+def test_every_flight_has_its_poses_innovations_pushes_and_events(messages: dict[str, Messages]):
+    kinds = {f"{k}/pose" for k in ("measured", "one_step_ahead", "ahead")} | {
+        f"{k}/path" for k in ("measured", "one_step_ahead", "ahead")
+    }
+    kinds |= {"innovations", "force", "torque"}
+    for flight in ("a", "b"):
+        assert {t.removeprefix(f"/{flight}/") for t in messages if t.startswith(f"/{flight}/")} >= kinds
+    assert "/tf" in messages
+
+
+def test_measured_poses_are_those_of_the_log(run: Path, messages: dict[str, Messages]):
+    model = IdentifiedModel.load(run / "fit" / "model.json")
+    segment = read_logs([run / "a.csv"], model.physics.vehicle, rate=1 / model.sample_time).flights[0].segments[0]
+    got = messages["/a/measured/pose"]
+    x = np.interp([t for t, _ in got], segment.t, segment.channels["x"])
+    np.testing.assert_allclose([m["pose"]["position"]["x"] for _, m in got], x, atol=1e-6)
+    turns = np.array([[m["pose"]["orientation"][k] for k in "wxyz"] for _, m in got])
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-9)
+
+
+def test_what_was_said_half_a_second_before_is_worse_than_a_step_before(messages: dict[str, Messages]):
+    measured = {t: m["pose"]["position"] for t, m in messages["/b/measured/pose"]}
+
+    def error(kind: str) -> float:
+        pairs = [(m["pose"]["position"], measured[t]) for t, m in messages[f"/b/{kind}/pose"] if t in measured]
+        return float(np.mean([np.hypot(p["x"] - q["x"], p["z"] - q["z"]) for p, q in pairs]))
+
+    assert error("one_step_ahead") < error("ahead") < 0.3
+    assert messages["/b/ahead/pose"][0][0] == pytest.approx(messages["/b/one_step_ahead/pose"][0][0] + 0.5, abs=0.02)
+
+
+def test_the_band_of_force_holds_its_value(messages: dict[str, Messages]):
+    for topic, width in (("/a/force", 1.0), ("/a/torque", 0.1)):
+        for _, m in messages[topic]:
+            for axis in "xyz":
+                assert m["low"][axis] < m["value"][axis] < m["high"][axis]
+                assert m["high"][axis] - m["low"][axis] < width
+
+
+def test_validate_writes_one_too_and_greybox_reads_its_own(run: Path, capsys: pytest.CaptureFixture[str]):
+    target = run / "seen.mcap"
+    words = ["validate", str(run / "fit" / "model.json"), "--log", str(run / "b.csv")]
+    assert main([*words, "--mcap", str(target)]) in (0, 1)
+    assert "/b/innovations" in read(target)
+    assert main(["inspect", str(target)]) in (0, 1)
+    assert "/b/measured/pose" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["seen.bag", "there/no.mcap"])
+def test_a_recording_that_cannot_be_is_refused_before_any_work(run: Path, name: str, capsys: pytest.CaptureFixture[str]):
+    words = ["validate", str(run / "fit" / "model.json"), "--log", str(run / "b.csv"), "--mcap"]
+    if "/" in name:
+        (run / "there").write_text("a file, not a folder")
+    assert main([*words, str(run / name)]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
