@@ -25,10 +25,12 @@ def demand_samples(problem: Problem) -> None:
         )
 
 
-def too_short_for_errors(blocks: int, seconds: float, coloured: bool) -> str:
-    """What to know of standard errors that rest on so few stretches of `seconds`."""
-    also = ", and the innovations are coloured" if coloured else ""
+def too_short_for_errors(blocks: int, seconds: float, levels: bool, coloured: bool) -> str:
+    """What to know of standard errors that rest on so few stretches of `seconds`: `levels` were estimated
+    from them, or the innovations are `coloured`."""
+    why = ["noise levels are hardly known"] * levels + ["what colours the innovations is not allowed for"] * coloured
+    fix = "fly longer, or hold them (--hold-noise)" if levels and not coloured else "fly longer"
     return (
         f"standard errors are too small: the flights hold {blocks} stretch(es) of {seconds:.2g} s, fewer than "
-        f"{FEWEST_BLOCKS}, so that noise levels are hardly known{also}; fly longer, or hold them (--hold-noise)"
+        f"{FEWEST_BLOCKS}, so that {' and '.join(why)}; {fix}"
     )
