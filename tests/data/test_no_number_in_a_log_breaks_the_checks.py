@@ -20,7 +20,7 @@ from greybox.examples import flight_path, vehicle_path
 from tests.data.faults import real, vehicle
 
 SET, FLIGHT = "nanobench", "B2_circle_medium_rep1"
-POSE = "x y z vx vy vz qw qx qy qz".split()
+POSE = ["x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz"]
 GROUPS = {
     "position": POSE[:3], "velocity": POSE[3:6], "attitude": POSE[6:], "gyro": ["p", "q", "r"],
     "accelerometer": ["ax", "ay", "az"], "command": ["u1", "u2", "u3", "u4"],
