@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from greybox.errors import DataError
+
 FloatArray = npt.NDArray[np.float64]
+
+LARGEST = float(np.finfo(np.float32).max)
+"""No sensor writes more; the square of more than its square overflows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,3 +62,29 @@ class RawLog:
     def n(self) -> int:
         """Number of rows."""
         return int(self.t.size)
+
+
+def measurable(raw: RawLog) -> RawLog:
+    """`raw`, with values beyond `LARGEST` as the infinite ones that they are for every sum of squares.
+
+    Raises `DataError` for what is no log: no rows, no channels, columns of other lengths, stamps that are no numbers.
+    """
+    where = f"flight {raw.flight}"
+    if not raw.n or not raw.channels:
+        raise DataError(f"a log without {'channels' if raw.n else 'rows'}", where=where, fix="pass a log of a flight")
+    wrong = sorted(n for n, v in raw.channels.items() if v.shape != raw.t.shape)
+    if wrong or raw.rows.shape != raw.t.shape:
+        raise DataError(f"not one value per time stamp: {', '.join(wrong or ['rows'])}", where=where, expected=f"{raw.n}")
+    # A clock is no better than its steps: sums of stamps must be numbers, too.
+    bad = np.flatnonzero(~(np.abs(raw.t) <= LARGEST))
+    if bad.size:
+        raise DataError(
+            f"{bad.size} time stamp(s) that are no numbers",
+            where=f"{where}, row {raw.rows[bad[0]]}",
+            expected="finite seconds",
+            got=f"{raw.t[bad[0]]:.4g}",
+            fix="leave these rows out",
+        )
+    huge = {n: np.abs(v) > LARGEST for n, v in raw.channels.items()}
+    new = {n: np.where(at, np.copysign(np.inf, raw.channels[n]), raw.channels[n]) for n, at in huge.items() if at.any()}
+    return replace(raw, channels={**raw.channels, **new}) if new else raw

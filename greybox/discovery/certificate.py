@@ -106,16 +106,15 @@ def halves(data: Dataset) -> tuple[Dataset, Dataset]:
             length[i] += f.duration
         return tuple(Dataset(flights=tuple(s)) for s in sides)  # type: ignore[return-value, arg-type]
     (flight,) = data.flights
-    total = sum(s.n for s in flight.segments)
-    early, late, seen = [], [], 0
-    gap = round(APART / flight.dt / 2)
+    t = np.concatenate([s.t for s in flight.segments])
+    middle = t[t.size // 2]
+    early, late = [], []
     for s in flight.segments:
-        cut = int(np.clip(total // 2 - seen, 0, s.n))
-        if cut - gap > 1:
-            early.append(s.rows(0, cut - gap))
-        if s.n - cut - gap > 1:
-            late.append(s.rows(cut + gap, s.n))
-        seen += s.n
+        stop, start = np.searchsorted(s.t, [middle - APART / 2, middle + APART / 2])
+        if stop > 1:
+            early.append(s.rows(0, int(stop)))
+        if s.n - start > 1:
+            late.append(s.rows(int(start), s.n))
     return (
         Dataset(flights=(replace(flight, segments=tuple(early)),)),
         Dataset(flights=(replace(flight, name=f"{flight.name} (late)", segments=tuple(late)),)),

@@ -93,12 +93,14 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one.
+    whiteness test, in which case `std` of the estimates is the sandwich one. `doubt`: why all errors
+    are too small (also the first of the warnings), empty where nothing says so.
     """
 
     status: Status
     cost: float
     loglik: float
+    doubt: str
     unidentifiable: tuple[Combination, ...]
     innovations: Mapping[str, list[FloatArray]]
     coloured: bool
@@ -413,12 +415,14 @@ class Fit(Shown):
         self.model.save(f"{folder}/model.json")
 
     def summary(self) -> str:
-        """The estimates as text: the verdict first, then how the solver ended."""
+        """The estimates as text: the verdict first, then how the solver ended and what doubts every error."""
         lines = [NOT_JUDGED if self.verdict is None else self.verdict.line, self.status.advice]
         if (
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
+        doubt = self.diagnostics.doubt
+        lines += [f"warning: {doubt}"] if doubt else []
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
             error = "at bound" if e.at_bound else f"+- {e.std:.2g}"
@@ -432,5 +436,5 @@ class Fit(Shown):
         lag = self.model.effective_lag
         lines += [] if lag is None else [lag.line]
         lines += [f"not identified: {c.text}" for c in self.unidentifiable]
-        lines += [f"warning: {w}" for w in self.warnings]
+        lines += [f"warning: {w}" for w in self.warnings if w != doubt]
         return "\n".join(lines)

@@ -21,7 +21,7 @@ from greybox.files import checksum, read_json, to_plain, write_atomic, write_jso
 from greybox.symbolic import FloatArray
 
 LARGEST_ARRAYS = 500 * 2**20
-"""Bytes of the arrays of one file: six outputs of 1000 support points take 48 MB."""
+"""Bytes of the arrays of one file as doubles: six outputs of 1000 support points take 48 MB."""
 UNREADABLE: tuple[type[Exception], ...] = (
     *(OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, RuntimeError),
     *(MemoryError, zipfile.BadZipFile, zlib.error),
@@ -83,10 +83,19 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, FloatArray]:
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as stored:
             size = sum(entry.file_size for entry in stored.zip.infolist())
+            arrays: dict[str, FloatArray] = {}
+            for name in stored.files:
+                if size > LARGEST_ARRAYS:
+                    break
+                array = stored[name]
+                # a byte of a small type becomes eight
+                size += 8 * array.size - array.nbytes
+                if size <= LARGEST_ARRAYS:
+                    arrays[name] = np.asarray(array, dtype=np.float64)
             if size > LARGEST_ARRAYS:
                 message = f"the arrays unpack to more than {LARGEST_ARRAYS / 2**20:g} MiB"
                 raise FileFormatError(message, where=where, fix="pass a file that greybox wrote")
-            return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
+            return arrays
     except FileFormatError:
         raise
     except UNREADABLE as error:

@@ -40,6 +40,7 @@ def messages(name: str, severity: str, of: str) -> list[str]:
         ("attitude tilted by 10 deg in the world", "gravity", "10 deg from the world's up"),
         ("r negated", "attitude", "r = -r"),
         ("gyro in world axes", "attitude", "the gyro is in world axes"),
+        ("position in km", "motion", "the position moves 0.001 times"),
         ("clock 10 % slow", "clock", "the time runs 1.1 times as fast as the motion"),
         ("2 s cut out, clock closed up", "jumps", "rows are missing there, but the clock goes on"),
         ("1 s comes twice", "jumps", "100 rows from t = "),

@@ -324,6 +324,7 @@ def units_and_scales() -> dict[str, Fault]:
         "accelerometer in cm/s^2": u(A, 100.0),
         "position in mm": u(P, 1e3),
         "position in cm": u(P, 100.0),
+        "position in km": u(P, 1e-3),
         "position in feet": u(P, 3.28084),
         "velocity in mm/s": u(V, 1e3),
         "velocity in cm/s": u(V, 100.0),

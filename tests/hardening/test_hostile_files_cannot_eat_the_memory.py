@@ -124,33 +124,37 @@ def test_nesting_is_no_syntax_error(depth: int, tmp_path: Path) -> None:
         read_mapping(path)
 
 
-def archive(path: Path, entries: dict[str, tuple[int, int]]) -> None:
-    """An .npz whose arrays declare some numbers and hold some zero bytes: name -> (numbers, bytes)."""
+def archive(path: Path, entries: dict[str, tuple[int, int]], kind: str) -> None:
+    """An .npz whose arrays declare some numbers of a kind and hold some zero bytes: name -> (numbers, bytes)."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, (declared, held) in entries.items():
             with file.open(f"{name}.npy", "w", force_zip64=True) as entry:
-                form = {"descr": "<f8", "fortran_order": False, "shape": (declared,)}
+                form = {"descr": kind, "fortran_order": False, "shape": (declared,)}
                 np.lib.format.write_array_header_1_0(entry, form)  # type: ignore[arg-type]
                 for _ in range(held >> 20):
                     entry.write(bytes(1 << 20))
 
 
 @pytest.mark.parametrize(
-    ("entries", "said"),
+    ("entries", "kind", "said"),
     [
-        ({"a": (5 << 17, 5 << 20)}, "unpack to more than 4 MiB"),
-        ({"a": (3 << 17, 3 << 20), "b": (3 << 17, 3 << 20)}, "unpack to more than 4 MiB"),
-        ({"a": (10**15, 1 << 20)}, "cannot read the arrays"),
+        ({"a": (5 << 17, 5 << 20)}, "<f8", "unpack to more than 4 MiB"),
+        ({"a": (3 << 17, 3 << 20), "b": (3 << 17, 3 << 20)}, "<f8", "unpack to more than 4 MiB"),
+        # a byte each on disk, eight as the doubles that they become
+        ({"a": (1 << 20, 1 << 20)}, "|b1", "unpack to more than 4 MiB"),
+        ({"a": (1 << 18, 1 << 20), "b": (1 << 19, 1 << 20)}, "<f2", "unpack to more than 4 MiB"),
+        ({"a": (10**15, 1 << 20)}, "<f8", "cannot read the arrays"),
     ],
 )
 def test_a_bomb_of_arrays_is_refused(
     entries: dict[str, tuple[int, int]],
+    kind: str,
     said: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(array_file, "LARGEST_ARRAYS", 4 << 20)
-    archive(tmp_path / "gp.npz", entries)
+    archive(tmp_path / "gp.npz", entries, kind)
     assert (tmp_path / "gp.npz").stat().st_size < 100_000
     with pytest.raises(FileFormatError, match=said):
         load_arrays(tmp_path / "gp.npz")

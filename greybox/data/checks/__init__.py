@@ -37,7 +37,7 @@ from greybox.data.checks.finding import (
 from greybox.data.checks.view import View
 from greybox.data.dataset import Dataset, Flight
 from greybox.data.logs import read_table
-from greybox.data.raw import RawLog
+from greybox.data.raw import RawLog, measurable
 from greybox.data.readers import LogMapping
 from greybox.errors import DataError, UnknownNameError
 
@@ -76,7 +76,8 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterab
     """Look for data faults. Raw logs (`read_table`) show everything; a data set no longer shows faults of its clock.
 
     Blocking findings of the checks named in `accept` do not block; the report keeps them and says so. Raises
-    `DataError` where two logs have the same name, and `UnknownNameError` for a check that there is not.
+    `DataError` where two logs have the same name or one is none (no rows, no channels, stamps that are no numbers), and
+    `UnknownNameError` for a check that there is not.
     """
     accepted = tuple(dict.fromkeys(accept))
     for name in accepted:
@@ -90,13 +91,15 @@ def check(data: Dataset | Sequence[RawLog], vehicle: Airframe, *, accept: Iterab
     findings: list[Finding] = []
     unjudged: list[Unjudged] = []
     flights: list[FlightSummary] = []
-    views = [View(raw=log, vehicle=vehicle) for log in logs]
-    for one in CHECKS:
-        for outcome in one.run(views):
-            if isinstance(outcome, Finding):
-                findings.append(outcome)
-            else:
-                unjudged.append(outcome)
+    views = [View(raw=measurable(log), vehicle=vehicle) for log in logs]
+    # What overflows in a check is a value that `ranges` names.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for one in CHECKS:
+            for outcome in one.run(views):
+                if isinstance(outcome, Finding):
+                    findings.append(outcome)
+                else:
+                    unjudged.append(outcome)
     for log, view in zip(logs, views, strict=True):
         flights.append(
             FlightSummary(

@@ -76,7 +76,8 @@ def _offset(view: View, windows: FloatArray, offset: float) -> Finding:
     drift = high - low
     slope = 0.0
     if windows.shape[0] >= 3:
-        slope = float(np.polyfit(windows[:, 0], windows[:, 1], 1)[0]) * dt
+        since = windows[:, 0] - windows[0, 0]
+        slope = float(np.polyfit(since, windows[:, 1], 1)[0]) * dt
     late = "late" if offset > 0 else "early"
     if abs(offset) >= max(BLOCKING / dt, 2.0):
         severity, text = "blocking", f"the gyro is {abs(offset):.1f} samples {late} against the attitude"

@@ -30,7 +30,7 @@ def run(view: View) -> Iterator[Finding]:
                 severity="blocking",
                 flight=view.name,
                 where=f"t, row {raw.rows[k]}",
-                message=f"{text} ({raw.t[k - 1]:.6f} s, then {raw.t[k]:.6f} s)",
+                message=f"{text} ({raw.t[k - 1]:.15g} s, then {raw.t[k]:.15g} s)",
                 evidence={f"{what}_rows": count, "first_row": int(raw.rows[k]), "step_s": float(steps[k - 1])},
                 fix="sort the log by time or drop the repeated rows",
             )

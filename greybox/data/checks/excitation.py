@@ -41,12 +41,14 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     if view.has("rate"):
         rate = view.group("rate")
         for name, column in zip(("p", "q", "r"), rate.T, strict=True):
-            size = float(np.nanstd(column))
+            known = column[np.isfinite(column)]
+            size = float(known.std()) if known.size else 0.0
             evidence[f"{name}_rms_rad_s"] = size
             if size < LEAST_RATE:
                 still.append(name)
     if view.has("velocity"):
-        evidence["speed_max_m_s"] = float(np.nanmax(np.linalg.norm(view.group("velocity"), axis=1)))
+        speed = np.linalg.norm(view.group("velocity"), axis=1)
+        evidence["speed_max_m_s"] = float(np.nanmax(speed, initial=0.0))
     short = view.flight.duration < LEAST_TIME
     if still or short:
         text = f"hardly any excitation of {', '.join(still)}" if still else "a short flight"

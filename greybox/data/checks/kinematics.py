@@ -30,6 +30,7 @@ from greybox.data.checks.relations import (
     moments,
 )
 from greybox.data.checks.view import View
+from greybox.data.raw import FloatArray
 
 REACH = 0.15
 """Largest delay between two streams that is looked for [s]."""
@@ -95,8 +96,8 @@ def related(relation: Relation, view: View) -> Related | str:
     if isinstance(streams, str):
         return streams
     first = streams.readings[0]
-    y = first.y[np.isfinite(first.y).all(axis=1)]
-    size = float(np.sqrt((y**2).sum(axis=1).mean())) if y.size else 0.0
+    # A stream of the wrong unit may seem to stand still: the craft moves where either says so.
+    size = max(_moved(first.y), _moved(first.x))
     if size < relation.least:
         return f"the craft hardly moves ({size:.2g} per {streams.span * view.dt:.2g} s)"
     tried: list[Tried] = []
@@ -111,6 +112,12 @@ def related(relation: Relation, view: View) -> Related | str:
             return "too short"
     prompt = moments(first, view.dt, streams.span, 0.0)
     return Related(streams=streams, tried=tuple(tried), prompt=prompt, size=size, sample=view.dt)
+
+
+def _moved(stream: FloatArray) -> float:
+    """Size of the motion (rms) in a stream (N, 3)."""
+    known = stream[np.isfinite(stream).all(axis=1)]
+    return float(np.sqrt((known**2).sum(axis=1).mean())) if known.size else 0.0
 
 
 def together(parts: Sequence[Related]) -> Related:

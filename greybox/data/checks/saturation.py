@@ -43,9 +43,9 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
     log = view.increasing
     for group in SENSORS:
         for name in group_names(group):
-            if name not in log.channels:
+            values = log.channels.get(name, np.full(1, np.nan))
+            if not np.isfinite(values).any():
                 continue
-            values = log.channels[name]
             for size in (values, -values):
                 top = float(np.nanmax(size, initial=0.0))
                 clipped = int((size == top).sum())

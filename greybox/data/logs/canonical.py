@@ -10,7 +10,7 @@ import numpy.typing as npt
 from greybox.data.airframe import Airframe
 from greybox.data.channel import TIME, ColumnSpec, canonical_names, group_names, is_canonical, rotor_index
 from greybox.data.logs.table import Table, flight_name
-from greybox.data.raw import FloatArray, RawLog
+from greybox.data.raw import LARGEST, FloatArray, RawLog
 from greybox.errors import DataError, UnknownNameError
 
 
@@ -109,14 +109,16 @@ def _values(table: Table, spec: ColumnSpec, name: str, where: str) -> FloatArray
             where=f"{where}, row {row}, column '{spec.name}' ({name})",
             fix="leave the cell empty where the value is missing",
         )
-    infinite = np.flatnonzero(np.isinf(column))
+    with np.errstate(over="ignore"):
+        scaled: FloatArray = column * spec.scale + spec.offset if (spec.scale, spec.offset) != (1.0, 0.0) else column
+    infinite = np.flatnonzero(np.abs(scaled) > LARGEST)
     if infinite.size:
         raise DataError(
-            f"{infinite.size} infinite value(s)",
+            f"{infinite.size} infinite value(s), or larger than any sensor writes ({LARGEST:.2g})",
             where=f"{where}, row {table.rows[infinite[0]]}, column '{spec.name}' ({name})",
             fix="leave the cell empty where the value is missing",
         )
-    return column * spec.scale + spec.offset if (spec.scale, spec.offset) != (1.0, 0.0) else column
+    return scaled
 
 
 def _first_text(table: Table, column: npt.NDArray[Any]) -> tuple[int, str]:

@@ -53,7 +53,7 @@ def read_ardupilot(path: Path) -> Recording:
         data = path.read_bytes()
         if not data.startswith(_HEAD + bytes([_FMT])):
             raise DataError("no ArduPilot log", where=where, expected="a message that declares messages first")
-        kinds, places, skipped = _messages(data)
+        kinds, places, refused, skipped = _messages(data)
         streams: dict[str, Stream] = {}
         parameters: dict[str, float] = {}
         for number, kind in kinds.items():
@@ -71,15 +71,26 @@ def read_ardupilot(path: Path) -> Recording:
         streams=streams,
         sources=tuple(_sources(streams, parameters)),
         parameters=parameters,
-        notes=(f"{skipped} bytes between messages are not read: the log is damaged",) if skipped else (),
+        notes=tuple(_notes(refused, skipped)),
     )
 
 
-def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], int]:
-    """(types of messages, where the bodies of each begin, bytes that are of no message)."""
+def _notes(refused: list[str], skipped: int) -> Iterator[str]:
+    """What of the log was not read."""
+    if refused:
+        yield f"messages {', '.join(refused)} are not read: what they declare contradicts itself or is of no known kind"
+    if skipped:
+        yield f"{skipped} bytes between messages are not read: the log is damaged"
+
+
+def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], list[str], int]:
+    """(types of messages, where the bodies of each begin, names of those that are declared as nothing that can be read,
+    bytes that are of no message). The latter are passed over whole: what looks like a message inside them is none."""
     kinds: dict[int, _Kind] = {}
+    refused: dict[int, str] = {}
     lengths = {_FMT: _FMT_LENGTH}
     places: dict[int, list[int]] = {}
+    met: dict[int, None] = {}
     at, skipped = 0, 0
     while at + 3 <= len(data):
         number = data[at + 2]
@@ -92,28 +103,35 @@ def _messages(data: bytes) -> tuple[dict[int, _Kind], dict[int, list[int]], int]
             at = following
             continue
         if number == _FMT:
-            kind = _declared(data[at + 3 : at + length])
-            if kind is not None:
-                kinds.setdefault(kind[0], kind[1])
-                lengths.setdefault(kind[0], kind[1].length)
-        else:
+            body = data[at + 3 : at + length]
+            declared, whole = body[0], body[1]
+            if declared != _FMT and declared not in kinds and whole >= 3:
+                lengths[declared] = whole
+                kind = _declared(body)
+                if kind is not None:
+                    kinds[declared] = kind
+                else:
+                    refused[declared] = body[2:6].split(b"\0")[0].decode("ascii", "replace") or f"{declared:#x}"
+        elif number in kinds:
             places.setdefault(number, []).append(at + 3)
+        else:
+            met.setdefault(number)
         at += length
-    return kinds, places, skipped
+    return kinds, places, [refused[n] for n in met if n not in kinds], skipped
 
 
-def _declared(body: bytes) -> tuple[int, _Kind] | None:
-    """(type, what it is) that a FMT message declares; None for one that contradicts itself."""
-    number, length = body[0], body[1]
+def _declared(body: bytes) -> _Kind | None:
+    """What a FMT message declares; None for one that contradicts itself."""
+    length = body[1]
     texts = [part.split(b"\0")[0].decode("ascii", "replace") for part in (body[2:6], body[6:22], body[22:86])]
     name, letters = texts[0], texts[1]
     names = texts[2].split(",")
-    if number == _FMT or len(names) != len(letters) or len(set(names)) < len(names) or set(letters) - set(_LETTERS):
+    if len(names) != len(letters) or len(set(names)) < len(names) or set(letters) - set(_LETTERS):
         return None
     layout = np.dtype([(n, _LETTERS[c][0]) for n, c in zip(names, letters, strict=True)])
     if not name or layout.itemsize != length - 3:
         return None
-    return number, _Kind(name=name, length=length, letters=letters, layout=layout)
+    return _Kind(name=name, length=length, letters=letters, layout=layout)
 
 
 def _table(data: bytes, kind: _Kind, places: list[int]) -> npt.NDArray[np.void]:
@@ -178,9 +196,11 @@ def _sources(streams: Mapping[str, Stream], parameters: Mapping[str, float]) -> 
     outputs.sort(key=lambda k: parameters[f"SERVO{k}_FUNCTION"])
     fields = tuple(f"C{k}" for k in outputs)
     if outputs and "RCOU" in streams and set(fields) <= set(streams["RCOU"].fields):
-        low, high = parameters.get("MOT_PWM_MIN", 1000.0), parameters.get("MOT_PWM_MAX", 2000.0)
-        limits = (low, high) if high > low else (1000.0, 2000.0)
-        note = f"PWM {limits[0]:g} to {limits[1]:g}, motors 1 to {len(outputs)} as ArduPilot numbers them"
+        low, high = parameters.get("MOT_PWM_MIN", 0.0), parameters.get("MOT_PWM_MAX", 0.0)
+        told = high > low > 0
+        limits = (low, high) if told else (1000.0, 2000.0)
+        why = "" if told else " (assumed: the log has no MOT_PWM_MIN below MOT_PWM_MAX)"
+        note = f"PWM {limits[0]:g} to {limits[1]:g}{why}, motors 1 to {len(outputs)} as ArduPilot numbers them"
         yield Source(group="command", stream="RCOU", fields=fields, limits=limits, note=note)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,32 @@ def test_a_damaged_onboard_log_is_read_around_the_damage(tmp_path: Path) -> None
     found = read_recording(path)
     assert "bytes between messages are not read" in found.notes[0]
     assert found.streams["IMU[0]"].n >= N - 2
+
+
+@pytest.mark.parametrize(
+    "pwm_range", [(), (("MOT_PWM_MIN", 0.0), ("MOT_PWM_MAX", 0.0)), (("MOT_PWM_MIN", 1900.0), ("MOT_PWM_MAX", 1100.0))]
+)
+def test_a_range_that_the_log_does_not_tell_is_called_assumed(tmp_path: Path, pwm_range: tuple[tuple[str, float], ...]):
+    found = read_recording(w.write_ardupilot(tmp_path / "f.bin", w.channels(rows=50), pwm_range))
+    (command,) = (s for s in found.sources if s.group == "command")
+    assert command.limits == (1000.0, 2000.0)
+    assert "assumed" in command.note
+    sound = read_recording(w.write_ardupilot(tmp_path / "g.bin", w.channels(rows=50)))
+    assert "assumed" not in " ".join(s.note for s in sound.sources)
+
+
+def test_messages_that_cannot_be_read_are_named_and_hide_no_message(tmp_path: Path) -> None:
+    """A field of an unknown kind, with bytes in it that look like a message of the gyro."""
+    path = w.write_ardupilot(tmp_path / "f.bin", w.channels(rows=50))
+    whole = path.read_bytes()
+    at = whole.index(b"\xa3\x95\x82")
+    imu = whole[at : at + 36]
+    unknown = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0xF0, 43, b"ODD", b"Q?", b"TimeUS,What")
+    path.write_bytes(whole[:at] + unknown + 5 * (b"\xa3\x95\xf0" + imu.ljust(40, b"\0")) + whole[at:])
+    found, sound = read_recording(path), read_recording(w.write_ardupilot(tmp_path / "g.bin", w.channels(rows=50)))
+    (note,) = found.notes
+    assert "messages ODD are not read" in note
+    assert found.streams["IMU[0]"].n == sound.streams["IMU[0]"].n
 
 
 def test_the_library_of_others_reads_the_same_numbers(tmp_path: Path) -> None:

@@ -281,7 +281,10 @@ def dataflash_bytes(messages: Sequence[tuple[str, str, str, Sequence[tuple[Any, 
     return out + b"".join(body for _, body in sorted(rows, key=lambda pair: pair[0]))
 
 
-def write_ardupilot(path: Path, c: Columns) -> Path:
+PWM_RANGE = (("MOT_PWM_MIN", 1000.0), ("MOT_PWM_MAX", 2000.0))
+
+
+def write_ardupilot(path: Path, c: Columns, pwm_range: Sequence[tuple[str, float]] = PWM_RANGE) -> Path:
     """The flight as ArduPilot would have logged it, with a second IMU that says something else."""
     stamps = [int(t) for t in np.rint((c["t"] + 12.5) * 1e6)]
     imu = np.column_stack([*to_frd(c, "pqr"), *to_frd(c, ("ax", "ay", "az"))])
@@ -289,7 +292,7 @@ def write_ardupilot(path: Path, c: Columns) -> Path:
     turned = px4_attitude(c)
     pwm = [np.rint(1000 + 1000 * c[f"u{i}"]).astype(int) for i in (2, 1, 4, 3)]
     parameters = [(f"SERVO{k}_FUNCTION", 33.0 + m) for k, m in ((1, 1), (2, 0), (3, 3), (4, 2), (5, -33))]
-    parameters += [("MOT_PWM_MIN", 1000.0), ("MOT_PWM_MAX", 2000.0)]
+    parameters += pwm_range
 
     def rows(table: np.ndarray, *before: int) -> list[tuple[Any, ...]]:
         return [(t, *before, *map(float, row)) for t, row in zip(stamps, table, strict=True)]

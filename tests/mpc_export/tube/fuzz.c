@@ -3,10 +3,11 @@
 
        fuzz DATA STEPS SEED
 
-   DATA is the tube_data of a solver that was reset: hover. Prints one line "kind steps solved cut refused outside" per
-   kind of damage, then "slowest SECONDS", "back N of M": of M stretches without damage after a stretch with it, how many
-   ended with a solution. Exit code 1 where a command left its limits, was not finite or a refused plan was changed.
-   SIGTERM ends it early, with what was counted until then. */
+   DATA is the tube_data of a solver that was reset: hover. Prints one line "kind steps solved cut refused outside
+   not-finite changed" per kind of damage (the last: refused plans that were written to), then "slowest SECONDS", "back N
+   of M": of M stretches without damage after a stretch with it, how many ended with a solution. Exit code 1 where one of
+   the last three counts is not zero. SIGTERM ends it early, with what was counted until then. Whoever starts it sets the
+   time after which it hangs. */
 
 #include <signal.h>
 #include <stdint.h>
@@ -73,13 +74,17 @@ static void damage_data(tube_data *d, int kind, double constant) {
   if (uniform() < 0.05) damage(&d->penalty, 2, share, kind, constant);
 }
 
+static int finite_plan(const tube_data *d) {
+  return largest(&d->x[0][0], (N + 1) * NX) < INFINITY && largest(&d->u[0][0], N * NU) < INFINITY;
+}
+
 static int outside(const tube_data *d) {
   for (int k = 0; k < N; k++)
     for (int j = 0; j < NU; j++) {
       double before = k > 0 ? d->u[k - 1][j] : d->u_before[j], u = d->u[k][j];
       if (!(u >= d->u_min[j] && u <= d->u_max[j] && fabs(u - before) <= d->rate_max[j] + 1e-12)) return 1;
     }
-  return !(largest(&d->x[0][0], (N + 1) * NX) < INFINITY);
+  return 0;
 }
 
 static void go_on(tube_data *d, const tube_data *hover, int failures) {
@@ -94,7 +99,7 @@ static void go_on(tube_data *d, const tube_data *hover, int failures) {
 
 int main(int argc, char **argv) {
   static tube_data hover, d, kept;
-  long counts[KINDS][5] = {{0}}, broken = 0, back = 0, rests = 0;
+  long counts[KINDS][7] = {{0}}, broken = 0, back = 0, rests = 0;
   double slowest = 0, constant = 0;
   FILE *file = argc == 4 ? fopen(argv[1], "rb") : NULL;
   if (file == NULL || fread(&hover, sizeof hover, 1, file) != 1) return 2;
@@ -125,18 +130,20 @@ int main(int argc, char **argv) {
     if (status == 0) {
       failures = 0;
       count[d.qp_status == 0 ? 1 : 2]++;
-      if (outside(&d)) count[4]++, broken++;
+      if (!finite_plan(&d)) count[5]++, broken++;
+      else if (outside(&d)) count[4]++, broken++;
       memcpy(d.u_before, d.u[0], sizeof d.u_before);
     } else {
       failures++;
       count[3]++;
-      if (memcmp(d.x, kept.x, sizeof d.x) || memcmp(d.u, kept.u, sizeof d.u)) count[4]++, broken++;
+      if (memcmp(d.x, kept.x, sizeof d.x) || memcmp(d.u, kept.u, sizeof d.u)) count[6]++, broken++;
     }
     if (at == STRETCH + REST - 1) rests++, back += status == 0;
   }
   tube_free(solver);
   for (int k = 0; k < KINDS; k++)
-    printf("%s %ld %ld %ld %ld %ld\n", NAMES[k], counts[k][0], counts[k][1], counts[k][2], counts[k][3], counts[k][4]);
+    printf("%s %ld %ld %ld %ld %ld %ld %ld\n", NAMES[k], counts[k][0], counts[k][1], counts[k][2], counts[k][3], counts[k][4],
+           counts[k][5], counts[k][6]);
   printf("slowest %.6f\nback %ld of %ld\n", slowest, back, rests);
   return broken ? 1 : 0;
 }
