@@ -16,6 +16,7 @@ import numpy as np
 
 from greybox.discovery.rules import RULES
 from greybox.errors import GreyboxError
+from greybox.model.beliefs import group_of
 from greybox.model.effect import Effect
 from greybox.model.effects import CATALOGUE
 from greybox.model.identified import IdentifiedModel
@@ -201,7 +202,7 @@ def offer(
     model = build(chosen)
     causes = {e.name: cause_of(e, vehicle) for e in chosen}
     every = {p for c in causes.values() for p in c.parameters}
-    held = set(fixed)
+    held = {*fixed, *_unstated(vehicle, chosen)}
     core = tuple(
         d.name for d in model.parameters if d.sigma > 0 and d.name not in every and d.name not in held
     )
@@ -230,6 +231,13 @@ def since(model: IdentifiedModel) -> Known:
     prior = {n: (float(model.values[n]), float(s)) for n, s in errors.items() if s > 0}
     prior |= {n: (float(m), float(s)) for n, (m, s) in model.flight_spread.items()}
     return Known(effects=tuple(model.physics.effects), prior=prior)
+
+
+def _unstated(vehicle: Vehicle, offered: Iterable[Effect]) -> set[str]:
+    """Core numbers of which the vehicle file says nothing and that an effect on offer moves under their
+    own name (the centre of mass): were they free in every model, the effect could never be needed."""
+    moved = {slot for e in offered if e.stage == "body" for slot in e.case.expected}
+    return {b.quantity for b in vehicle.beliefs.assumed if group_of(b.quantity) in moved}
 
 
 def _not_offered(effect: Effect, bare: PhysicsModel, columns: tuple[str, ...]) -> str | None:

@@ -21,15 +21,14 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.lead import led
-from greybox.discovery.cause import Known, offer, since
+from greybox.discovery.cause import Known, offer, sensor_cause, since
 from greybox.discovery.evidence import Flights, Key, Structure
 from greybox.discovery.name import LOG10
 from greybox.errors import DataError
 from greybox.estimation.record import sample_time
 from greybox.model.effect import Effect
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import layers
-from greybox.model.noise import Augmented, SensorPart
+from greybox.model.noise import sensor_parts
 
 
 @threadpool_limits.wrap(limits=1)
@@ -51,12 +50,6 @@ def further(
     names = [e["name"] for e in content["effects"]]
     if not names:
         raise DataError("no name to go on with", fix="greybox discover with all flights")
-    noise = [layer for layer in layers(model.dynamics) if isinstance(layer, Augmented)]
-    if any(isinstance(p, SensorPart) for layer in noise for p in layer.parts):
-        raise DataError(
-            "the model has coloured or filtered sensors, with which further flights are not judged yet",
-            fix="greybox discover with all flights",
-        )
     known = since(model)
     vehicle = model.physics.vehicle
     causes = offer(
@@ -67,7 +60,9 @@ def further(
         noncausal=data.noncausal,
         known=Known(effects=(), prior=known.prior),
     )
-    structure = frozenset(n for n in model.effects if n in causes.offered)
+    parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
+    causes = causes.with_cause(*parts)
+    structure = frozenset(n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered)
     flights = Flights(causes=causes, data=led(data))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])

@@ -69,6 +69,7 @@ def judged(
     elif worth is not None and not worth.matters:
         status = "trace"
         reason = f"it is there, and removes {max(worth.share, 0.0):.1%} of the error at most"
+        reason += "" if worth.seen else ", less than one reading can show"
     elif alike:
         status = "one of these"
         shares = _shares(certificate, alike, bar + float(np.log(alpha)))

@@ -1,9 +1,10 @@
 """Worth: what a name is good for on flights, and the e-process of two forecasters.
 
 The share of the squared error that a name removes, in its best channel group and horizon, one step
-to a second ahead; the error is against measurements, so that what sensors cannot see counts for
-nothing. Physics alone foretells: the unnamed force and torque, which make up for a missing name
-after a second of flight, are set to zero at the start of every prediction.
+to a second ahead. What it removes must also be more than the error of a single reading there: a
+share of next to nothing is nothing, and where all else is exact another integrator has a share.
+Physics alone foretells: the unnamed force and torque, which make up for a missing name after a second
+of flight, are set to zero at the start of every prediction.
 
 When every model is wrong a likelihood ratio tests models that nobody believes. Beside it stands the
 e-process of the hypothesis that the name does not improve what is foretold on average (Choe and
@@ -26,9 +27,11 @@ from greybox.validation.gap import Foresight
 @dataclass(frozen=True, kw_only=True)
 class Worth:
     """`share` of the squared error that a name removes where it does most, in `group` at `horizon`
-    [s] (0: one sample); `log_e` of the e-process over `seconds`."""
+    [s] (0: one sample), of what can be `seen`: whether it is more than the squared error of one
+    reading; `log_e` of the e-process over `seconds`."""
 
     share: float
+    seen: bool
     group: str
     horizon: float
     log_e: float
@@ -37,25 +40,27 @@ class Worth:
     @property
     def matters(self) -> bool:
         """Whether the name is worth anything."""
-        return self.share >= RULES.trace
+        return self.seen and self.share >= RULES.trace
 
 
 def worth(without: Foresight, named: Foresight) -> Worth:
     """What a name removes of the errors `without` it."""
-    best = (-np.inf, "", 0.0)
+    best = (False, -np.inf, "", 0.0)
     for key, blocks in without.own.items():
         new = named.own.get(key, [])
         size = sum(b.size for b in blocks)
         if not size or len(new) != len(blocks):
             continue
         old = sum(float(b.sum()) for b in blocks)
+        removed = old - sum(float(b.sum()) for b in new)
         if old > 0:
-            best = max(best, (1 - sum(float(b.sum()) for b in new) / old, *key))
+            best = max(best, (removed > size * named.reading.get(key[0], 0.0), removed / old, *key))
     changes = seconds(without, named)
     return Worth(
-        share=float(best[0]),
-        group=best[1],
-        horizon=best[2],
+        share=float(best[1]),
+        seen=best[0],
+        group=best[2],
+        horizon=best[3],
         log_e=betting(changes),
         seconds=int(changes.size),
     )

@@ -8,8 +8,8 @@ there are at least four; Kunsch 1989, Annals of Statistics 17(3)).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError
 from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
+from greybox.model.noise import sensor_parts
 from greybox.model.sensors import SENSORS
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
@@ -83,10 +85,12 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Foresight:
-    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`."""
+    """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`. `reading`:
+    group -> mean squared error of one reading of its sensor, as the model knows it."""
 
     own: Squares
     floor: Squares
+    reading: Mapping[str, float] = field(default_factory=dict)
 
 
 def unknown_start(model: IdentifiedModel) -> bool:
@@ -143,7 +147,26 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return Foresight(own=own, floor=floor)
+    return Foresight(own=own, floor=floor, reading=readings(model))
+
+
+def readings(model: IdentifiedModel) -> dict[str, float]:
+    """Group -> mean squared error of one reading, over all of its channels: white noise and what lasts of it. Empty for
+    a model that is no vehicle's."""
+    physics = physics_of(model.dynamics)
+    if physics is None:
+        return {}
+    white = dict(zip(model.dynamics.innovations.names, model.sensor_noise.tolist(), strict=True))
+    driven = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    out: dict[str, float] = {}
+    for sensor in physics.sensors:
+        names = [s.name for s in sensor.innovation_signals(physics.vehicle)]
+        total = sum(white[n] ** 2 for n in names if n in white)
+        for part in (p for p in sensor_parts(model.dynamics) if p.sensor == sensor.name):
+            levels = [driven.get(f"{part.name}.c.{n.split('.')[-1]}", 0.0) for n in names]
+            total += sum(part.described(v, model.values, model.sample_time).get("sigma", 0.0) ** 2 for v in levels if v)
+        out[sensor.group] = total
+    return out
 
 
 def _begun(model: IdentifiedModel, flight: Flight, segment: Segment, runner: Filter) -> Start:

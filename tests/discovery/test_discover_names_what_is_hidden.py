@@ -8,19 +8,22 @@ from importlib import resources
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
-from greybox.data import dataset_from_arrays
+from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.further import further
 from greybox.discovery.result import Discovery
 from greybox.discovery.rules import EFFORT, Effort
 from greybox.discovery.workflow import discover
 from greybox.errors import DataError, GreyboxError
 from greybox.files import to_plain
+from greybox.model.noise import sensor_parts
 from scenarios.studies.discovery_cells import Cell, flown, nominal
 from scenarios.studies.discovery_grid import judge
 from tests.discovery import small_world
 from tests.discovery.small_world import DAMPING, SHORT, shorten, vehicle
+from tests.discovery.test_noise_that_is_not_felt_is_not_kept import coloured
 
 
 def valid(found: Discovery) -> dict[str, Any]:
@@ -131,6 +134,24 @@ def test_further_flights_multiply_the_evidence_either_way(damped: tuple[Discover
     assert against["verdict"] == "nothing_missing"
     with pytest.raises(DataError, match="took part"):
         further(content, found.model, small_world.flown(DAMPING, seeds=(11,), name="test"))
+
+
+@pytest.mark.slow
+def test_further_flights_of_coloured_sensors_multiply_the_evidence_too(short: None):
+    rng = np.random.default_rng(3)
+
+    def lasting(*seeds: int, name: str) -> Dataset:
+        data = small_world.flown(DAMPING, seeds=seeds, name=name)
+        return Dataset(flights=tuple(coloured(f, rng) for f in data))
+
+    found = discover(vehicle(), lasting(1, 2, name="train"), lasting(11, name="test"))
+    assert "coloured.gyro" in {p.name for p in sensor_parts(found.model.dynamics)}
+    content = valid(found)
+    (before,) = content["effects"]
+    (after,) = further(content, found.model, lasting(21, name="more"))["effects"]
+    assert after["status"] == "certified"
+    assert after["further"] > 1.0
+    assert after["log10_e"] == pytest.approx(before["log10_e"] + after["further"])
 
 
 @pytest.mark.slow

@@ -23,13 +23,15 @@ from tests.residual import hybrid_cases
 BAR, ALPHA = 6.0, 0.05
 
 
-def foresight(level: float, noise: float = 0.0, groups: tuple[str, ...] = ("velocity", "rotation")) -> Foresight:
+def foresight(
+    level: float, noise: float = 0.0, groups: tuple[str, ...] = ("velocity", "rotation"), reading: float = 0.0
+) -> Foresight:
     rng = np.random.default_rng(0)
     own = {
         (g, h): [level * (1 + noise * rng.uniform(-1, 1)) * np.ones(20) for _ in range(12)]
         for g in groups for h in (0.0, 0.1, 0.5)
     }  # fmt: skip
-    return Foresight(own=own, floor={})
+    return Foresight(own=own, floor={}, reading=dict.fromkeys(groups, reading))
 
 
 def certificate(**rivals: float) -> Certificate:
@@ -51,6 +53,16 @@ def test_what_is_certain_and_worth_nothing_is_a_trace():
     little = worth(foresight(1.0), foresight(1.0 - 0.5 * RULES.trace))
     assert not little.matters
     assert judged(certificate(nothing=80.0), little, "", BAR, ALPHA).status == "trace"
+
+
+@pytest.mark.parametrize(("reading", "status"), [(0.5, "certified"), (0.6, "trace")])
+def test_a_share_of_what_no_reading_can_show_is_worth_nothing(reading: float, status: str):
+    """A thrust curve of 1 % was worth 58 % where all else was exact: of next to nothing."""
+    most = worth(foresight(1.0, reading=reading), foresight(0.42, reading=reading))
+    assert most.share == pytest.approx(0.58)
+    name = judged(certificate(nothing=80.0), most, "", BAR, ALPHA)
+    assert name.status == status
+    assert ("one reading" in name.reason) == (status == "trace")
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def discovery() -> Discovery:
         certificate = Certificate(name=cause, log_e=log10_e * LOG10, against=(), rivals=rivals)
         return Name(name=cause, status=status, certificate=certificate, worth=worth, reason="said")
 
-    worth = Worth(share=0.4, group="velocity", horizon=0.5, log_e=9.0, seconds=20)
+    worth = Worth(share=0.4, seen=True, group="velocity", horizon=0.5, log_e=9.0, seconds=20)
     return Discovery(
         verdict="stopped", omega_known=False, seconds=1.0, bar=3.0 * LOG10,
         names=(

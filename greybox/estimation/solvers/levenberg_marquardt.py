@@ -99,7 +99,7 @@ class LevenbergMarquardt:
                     trial = problem.evaluate(new)
                     evaluations += 1
                     ratio = (value.cost - trial.cost) / predicted if trial.valid and predicted > 0 else -1.0
-                    kept = shares_kept(g, h, taken, trial, level, ratio)
+                    kept = shares_kept(g, h, taken, trial, level, float(ratio))
                     if ratio > 1e-4:
                         moved = True
                         if ratio < POOR:
