@@ -3,10 +3,11 @@
 Errors of one sample are what a linear model leaves, and features are linear in their weights, so
 that these are Bayesian linear regression (Bishop 2006, Pattern Recognition and Machine Learning,
 sec. 3.3). Everything is chosen on flights that were not seen: features are made again from one half
-of the flights and weights without the judged fold, and of the candidates and strengths of the prior
-those stay that foretell the left-out errors best. What a network has memorised of the flights that
-judge it therefore gains nothing. What remains is judged as a Gaussian process is
-(`greybox.residual.left_out`).
+of the flights and weights without the judged fold; of the candidates the one stays that foretells
+the left-out errors best, of the strengths of the prior the strongest that is as good within one
+standard error. What a network has memorised of the flights that judge it therefore gains nothing.
+Outside of the training inputs nothing is believed (`greybox.residual.learners.inside`). What remains
+is judged as a Gaussian process is (`greybox.residual.left_out`).
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from greybox.residual.candidates import FeatureMaker
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.learners import Learner
+from greybox.residual.learners.inside import Inside, seen_share
 from greybox.residual.left_out import STRETCHES, folds_of_rows, judged_on_errors
-from greybox.residual.selection import IntArray
+from greybox.residual.selection import IntArray, blocks_of
 from greybox.residual.weight_space import alone, fitted
 from greybox.symbolic import BoolArray, FloatArray, evaluate
 
@@ -50,7 +52,7 @@ def fit_features(
     Raises `ModelError` as `FeatureMaker.candidates`, and where no candidate can be made from half
     of the flights.
     """
-    maker = FeatureMaker(learner=learner, sets={"errors": rows}, points=points, seed=seed)
+    maker = FeatureMaker(learner=Inside(learner), sets={"errors": rows}, points=points, seed=seed)
     found = maker.candidates(lambda _text, _share: None)
     _, flights = np.unique(rows.flights, return_inverse=True)
     fold = folds_of_rows(flights)
@@ -60,7 +62,7 @@ def fit_features(
         made = [maker.again(label, half) for half in (~second, second)]
         apart = [m for m in made if m is not None]
         if len(apart) == len(made):
-            trials[label] = _trial(apart, rows, fold, second)
+            trials[label] = _trial(apart, rows, fold, second, flights)
     if not trials:
         raise ModelError(
             f"the learner {learner.name} offers nothing from half of the flights",
@@ -96,23 +98,29 @@ class _Trial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _LastLayer:
-    """A candidate with its features (N, M) and the errors (N, n_out) in units of its outputs."""
+    """A candidate with its features (N, M) that the data inform, how much they are left of there
+    (N, 1), and the errors (N, n_out) in units of its outputs.
+
+    Errors count by that share too: what fades is the row, not the law through it."""
 
     candidate: FeaturePosterior
     phi: FloatArray
+    near: FloatArray
     y: FloatArray
 
     @classmethod
     def of(cls, candidate: FeaturePosterior, rows: Discrepancy) -> _LastLayer:
         x = (rows.z - candidate.input_mean) / candidate.input_scale
         phi = evaluate(candidate.phi, np.ascontiguousarray(x))
-        return cls(candidate=candidate, phi=phi, y=rows.y / candidate.output_scale)
+        near, last = seen_share(phi, candidate.phi, candidate.members)
+        phi[:, last] = 0.0
+        return cls(candidate=candidate, phi=phi, near=near[:, None], y=rows.y / candidate.output_scale)
 
     def normal(self, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Normal equations (M, M) and (M, n_out) of some rows, members of an ensemble apart."""
         phi = self.phi[rows]
         matrix = alone(phi.T @ phi, self.candidate.members, phi.shape[1])
-        return matrix, np.asarray(phi.T @ self.y[rows])
+        return matrix, np.asarray(phi.T @ (self.near[rows] * self.y[rows]))
 
     def fitted(self, rows: BoolArray, strengths: FloatArray, level: FloatArray) -> FeaturePosterior:
         """Weights from `rows` (N,); strengths and noise variance `level` (n_out,), in units of the
@@ -130,13 +138,14 @@ class _LastLayer:
 
 
 def _trial(
-    made: Sequence[FeaturePosterior], rows: Discrepancy, fold: IntArray, second: BoolArray
+    made: Sequence[FeaturePosterior], rows: Discrepancy, fold: IntArray, second: BoolArray, flights: IntArray
 ) -> _Trial:
     """Left-out errors of a candidate: `made` from the first half of the rows and from the second,
     each judged on the folds of the other half with weights from all other folds."""
     layers = [_LastLayer.of(candidate, rows) for candidate in made]
     judges = {int(f): layers[0 if second[fold == f].all() else 1] for f in np.unique(fold)}
-    errors = np.empty((len(STRENGTHS), *rows.y.shape))
+    errors, inner = np.empty((2, len(STRENGTHS), *rows.y.shape))
+    near = np.empty((len(rows.y), 1))
     for f, last in judges.items():
         out = fold == f
         matrix, right = last.normal(~out)
@@ -145,10 +154,13 @@ def _trial(
             weights = np.linalg.solve(ridge, right) / last.candidate.members
             told = last.candidate.output_scale * (last.phi[out] @ weights)
             errors[i, out] = rows.y[out] - told
-    mean_square = np.mean(errors**2, axis=1)
-    chosen = np.argmin(mean_square, axis=0)
+            inner[i, out] = last.near[out] * rows.y[out] - told
+        near[out] = last.near[out]
+    chosen = _strongest(errors**2, blocks_of(flights, at_least=12))
     columns = np.arange(rows.y.shape[1])
-    level, variance = mean_square[chosen, columns], np.empty(rows.y.shape)
+    # What scatters the weights is what is left of the errors that they were fitted to.
+    level = np.mean(inner[chosen, :, columns] ** 2, axis=1) / np.mean(near**2)
+    variance = np.empty(rows.y.shape)
     strengths = np.array(STRENGTHS)[chosen]
     for f, last in judges.items():
         out = fold == f
@@ -157,6 +169,17 @@ def _trial(
     return _Trial(
         strengths=strengths, level=level, error=errors[chosen, :, columns].T, variance=variance
     )
+
+
+def _strongest(square: FloatArray, block: IntArray) -> IntArray:
+    """Per output the strongest prior (n_out,) whose squared left-out errors (n_strengths, N, n_out) are within one
+    standard error of the least, by means over `block` (N,) (Breiman et al. 1984, sec. 3.4.3)."""
+    means = np.stack([square[:, block == b].mean(axis=1) for b in np.unique(block)])
+    best = np.argmin(means.mean(axis=0), axis=0)
+    worse = means - means[:, best, np.arange(len(best))][:, None]
+    error = worse.std(axis=0, ddof=1) / np.sqrt(len(means))
+    within = worse.mean(axis=0) <= error
+    return np.asarray(len(STRENGTHS) - 1 - np.argmax(within[::-1], axis=0))
 
 
 def _second_half(flights: IntArray, fold: IntArray) -> BoolArray:

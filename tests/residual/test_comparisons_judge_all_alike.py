@@ -149,10 +149,10 @@ def test_pairs_are_every_model_with_every_learner(judged):
 @pytest.mark.parametrize("learner", ["gp", *LEARNERS])
 def test_every_pair_has_its_row(learner):
     from greybox.estimation.fit import fit
-    from greybox.model.model import PhysicsModel
+    from greybox.model.model import build_model
 
     judge = bench(adapt=2.0, budget=1, points=12)
-    judge.fit = lambda: fit(PhysicsModel(vehicle()), judge.train, max_iterations=3)
+    judge.fit = lambda: fit(build_model(vehicle(), judge.train.channels), judge.train)
     *_, last = compare(judge, (), learners=(learner,))
     for row in last["methods"]:
         assert row["status"] == "done", row.get("error")
