@@ -92,12 +92,13 @@ def choose(
     groups = [n.split(".")[0] for n in outputs]
     kinds = list(dict.fromkeys(groups))
     results: dict[tuple[float, ...], FloatArray] = {}
-    m = found[0].left_gradient.size // len(groups)
-    left = [alone(fold.left_hessian, members, m) for fold in found]
+    # Features that are made again without some flights may be more or fewer: terms of a law, for one.
+    features = [fold.left_gradient.size // len(groups) for fold in found]
+    left = [alone(fold.left_hessian, members, m) for fold, m in zip(found, features, strict=True)]
     for choice in itertools.product(strengths, repeat=len(kinds)):
         saved = np.zeros((len(found), len(cost)))
         for i, fold in enumerate(found):
-            prior = np.repeat([choice[kinds.index(g)] for g in groups], m)
+            prior = np.repeat([choice[kinds.index(g)] for g in groups], features[i])
             on = np.isfinite(prior)
             if not on.any():
                 continue
