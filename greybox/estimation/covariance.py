@@ -21,11 +21,13 @@ FEWEST_BLOCKS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
-    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many scores were summed."""
+    """Matrices over all unknowns (n, n); rows and columns of held ones are zero. `blocks`: how many scores were summed;
+    `doubt`: why all errors are too small, empty where nothing says so."""
 
     fisher: FloatArray
     sandwich: FloatArray
     blocks: int
+    doubt: str = ""
 
     @property
     def enough(self) -> bool:

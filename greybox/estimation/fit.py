@@ -258,10 +258,10 @@ def _finish(
             f"{total_held} missing command or voltage cells were held from the sample before"
         )
     levels = any(u.kind == "noise" for u in problem.unknowns)
-    doubt = ""
     if value.gradient is not None and not spread.enough and (levels or coloured):
         doubt = too_short_for_errors(spread.blocks, block * problem.dt, levels, coloured)
-        warnings.insert(0, doubt)
+        warnings.insert(0 if status.converged else 1, doubt)
+        spread = replace(spread, doubt=doubt)
     if not problem.engine.compiled:
         warnings.append(f"CasADi's VM ran the equations, slower than compiled: {trouble()}")
     keep = [i for i, u in enumerate(problem.unknowns) if u.kind == "parameter" and not held[i]]
@@ -299,7 +299,6 @@ def _finish(
             status=replace(status, seconds=time.perf_counter() - began),
             cost=value.cost,
             loglik=-value.likelihood,
-            doubt=doubt,
             unidentifiable=combinations,
             innovations=innovations,
             coloured=coloured,

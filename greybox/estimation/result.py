@@ -93,14 +93,12 @@ class Diagnostics:
 
     `cost` is the negative log posterior, `loglik` the log likelihood without priors. `innovations`
     (flight -> list of (n, n_e)) are NaN where missing; `coloured` says whether they fail the
-    whiteness test, in which case `std` of the estimates is the sandwich one. `doubt`: why all errors
-    are too small (also the first of the warnings), empty where nothing says so.
+    whiteness test, in which case `std` of the estimates is the sandwich one.
     """
 
     status: Status
     cost: float
     loglik: float
-    doubt: str
     unidentifiable: tuple[Combination, ...]
     innovations: Mapping[str, list[FloatArray]]
     coloured: bool
@@ -421,7 +419,7 @@ class Fit(Shown):
             self.verdict is None and not self.converged
         ):  # nothing vouches for these numbers: the failure comes first
             lines.reverse()
-        doubt = self.diagnostics.doubt
+        doubt = self.diagnostics.covariance.doubt
         lines += [f"warning: {doubt}"] if doubt else []
         width = max((len(n) for n in self.parameters), default=4)
         for n, e in self.parameters.items():
