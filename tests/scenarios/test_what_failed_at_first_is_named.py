@@ -13,6 +13,7 @@ from scenarios.foreign.naming_cells import case_of
 FAILED = {
     "a constant force in still air": ("single:constant_force", 288, "rotorpy"),
     "an attitude that is off in still air, once a wind": ("single:mocap_misalignment", 202, None),
+    "a motor lag in gusts under a file without sigmas": ("single:motor_lag", 210, None),
 }
 """Claim -> cell and seed of the judge (development seeds), and the simulator that must be there."""
 
