@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,12 @@ class Signal:
     name: str
     unit: str
     meaning: str = ""
+
+
+@functools.cache
+def operation_names() -> Mapping[int, str]:
+    """CasADi's names of its operations by their codes, which change between its versions."""
+    return {getattr(ca, n): n.removeprefix("OP_") for n in sorted(dir(ca), reverse=True) if n.startswith("OP_")}
 
 
 def given(value: Expr) -> tuple[Expr, ...]:

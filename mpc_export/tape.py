@@ -7,24 +7,18 @@ versions; the names of the operations do not.
 
 from __future__ import annotations
 
-import functools
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.symbolic import operation_names
 from mpc_export.rebuild.rebuild import BINARY, SCHEMA, SHAPED, UNARY, WHOLE
 
 _SCALAR = {"INPUT", "OUTPUT", "CONST", *UNARY, *BINARY}
 _MATRIX = {*_SCALAR, "CALL", *WHOLE, *SHAPED}
-
-
-@functools.cache
-def _operation_names() -> Mapping[int, str]:
-    return {getattr(ca, n): n.removeprefix("OP_") for n in sorted(dir(ca), reverse=True) if n.startswith("OP_")}
 
 
 def write_tape(functions: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -80,7 +74,7 @@ class _Writer:
         return {"name": function.name(), "kind": kind, "public": False, **ports}
 
     def scalar(self, function: Any) -> dict[str, Any]:
-        names = _operation_names()
+        names = operation_names()
         n = function.n_instructions()
         op, to, a, b = (np.zeros(n, dtype=np.int32) for _ in range(4))
         value = np.zeros(n)
@@ -103,7 +97,7 @@ class _Writer:
         return {**self.head(function, "scalar"), "work": int(function.sz_w()) + 1, "arrays": key}
 
     def matrix(self, function: Any) -> dict[str, Any]:
-        names = _operation_names()
+        names = operation_names()
         instructions = []
         for k in range(function.n_instructions()):
             name = names[function.instruction_id(k)]

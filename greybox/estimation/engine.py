@@ -24,7 +24,7 @@ import numpy.typing as npt
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.build import DRIVER_FLAGS, MODEL_FLAGS, compiler, opened
 from greybox.estimation.cache import say
-from greybox.estimation.tape import Linear, tape_of
+from greybox.estimation.tape import Linear
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import CASADI, Expr, FloatArray
 
@@ -263,7 +263,7 @@ class Engine:
             return
         try:
             with CASADI:
-                self._slope, self._turn = (Linear(f, tape_of(f)) for f in (self.slope, self.turn))
+                self._slope, self._turn = (Linear(f) for f in (self.slope, self.turn))
         except ModelError as error:
             say(f"{error}; CasADi's VM runs the same equations, slower")
             return

@@ -11,17 +11,14 @@ A product that is added once, and used nowhere else, is one instruction with its
 from __future__ import annotations
 
 import ctypes
-import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from greybox.errors import ModelError
-from greybox.symbolic import FloatArray
+from greybox.symbolic import FloatArray, operation_names
 
 ORDER = (
     "END", "INPUT", "OUTPUT", "CONST",
@@ -72,11 +69,11 @@ class _Carrier(ctypes.Structure):
 
 
 class Linear:
-    """A tape with the sparsities of the results of its function, as driver.c takes it: `carrier` points into what this
-    object keeps."""
+    """The tape of a function with the sparsities of its results, as driver.c takes it: `carrier` points into what this
+    object keeps. Raises `ModelError` like `tape_of`."""
 
-    def __init__(self, function: Any, tape: Tape) -> None:
-        self._kept = tape
+    def __init__(self, function: Any) -> None:
+        self._tape = tape = tape_of(function)
         self._sparsities = [
             np.array(function.sparsity_out(i).compress(), dtype=np.int64) for i in range(function.n_out())
         ]
@@ -88,11 +85,6 @@ class Linear:
             tape.work,
             (ctypes.c_void_p * 4)(*places),
         )
-
-
-@functools.cache
-def _names() -> Mapping[int, str]:
-    return {getattr(ca, n): n.removeprefix("OP_") for n in sorted(dir(ca), reverse=True) if n.startswith("OP_")}
 
 
 def tape_of(function: Any) -> Tape:
@@ -107,7 +99,7 @@ class _Writer:
     def __init__(self, function: Any) -> None:
         self.function = function
         n = function.n_instructions()
-        names, place = _names(), dict[int, int]()  # which value a slot of CasADi holds
+        names, place = operation_names(), dict[int, int]()  # which value a slot of CasADi holds
         self.names = [""] * n
         self.operands: list[tuple[int, ...]] = [()] * n
         self.where: list[tuple[int, int]] = [(0, 0)] * n  # of inputs and outputs: which, and which number of it
