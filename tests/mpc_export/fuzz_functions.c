@@ -17,29 +17,16 @@
 enum { NOMINAL, NEAR, WILD, NOT_A_NUMBER, INFINITE, ZERO, DENORMAL, HUGE_NUMBER, WHOLE, MIXED, KINDS };
 static const char *const NAMES[KINDS] = {"nominal", "near", "wild", "nan", "inf", "zero", "denormal", "huge", "whole", "mixed"};
 
-static uint64_t state_of_rng;
-
-static double uniform(void) { /* xorshift64*, Vigna 2016 */
-  state_of_rng ^= state_of_rng >> 12;
-  state_of_rng ^= state_of_rng << 25;
-  state_of_rng ^= state_of_rng >> 27;
-  return (double)((state_of_rng * UINT64_C(2685821657736338717)) >> 11) / 9007199254740992.0;
-}
-
-static int drawn(int n) { return (int)(uniform() * n) % n; }
-
-static double power(double low, double high) { return (uniform() < 0.5 ? -1 : 1) * pow(10.0, low + (high - low) * uniform()); }
-
 static real damaged(real v, int kind) {
   const int single = sizeof(real) == sizeof(float);
   switch (kind) {
     case NEAR: return v + (real)(0.3 * (uniform() - 0.5));
-    case WILD: return v + (real)power(-3, 12);
+    case WILD: return v + (real)signed_power(-3, 12);
     case NOT_A_NUMBER: return (real)NAN;
     case INFINITE: return (real)(uniform() < 0.5 ? INFINITY : -INFINITY);
     case ZERO: return (real)(uniform() < 0.5 ? 0.0 : -0.0);
-    case DENORMAL: return (real)(single ? power(-44, -38) : power(-323, -308));
-    case HUGE_NUMBER: return (real)(single ? power(12, 38) : power(100, 308));
+    case DENORMAL: return (real)(single ? signed_power(-44, -38) : signed_power(-323, -308));
+    case HUGE_NUMBER: return (real)(single ? signed_power(12, 38) : signed_power(100, 308));
     case WHOLE: return (real)((drawn(19) - 9) * pow(10.0, drawn(30)));
     case MIXED: return damaged(v, 1 + drawn(MIXED - 1));
     default: return v;

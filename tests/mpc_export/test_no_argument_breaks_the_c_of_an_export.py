@@ -16,7 +16,7 @@ from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.golden import golden_vectors
 from tests.mpc_export import cases, compiled
 
-FUZZ = Path(__file__).parent / "fuzz_functions.c"
+FUZZ = [Path(__file__).parent / name for name in ("fuzz_random.c", "fuzz_functions.c")]
 MANY = int(os.environ.get("GREYBOX_FUZZ", "20000"))
 SANITIZED = ("-O1", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 MODELS = {"hybrid": cases.hybrid, "linear": cases.linear}
@@ -59,7 +59,7 @@ def program(folder: Path, model: str, real: str, flags: tuple[str, ...]) -> str:
     more = {"hybrid": ("filter", "covariance")}.get(model, ("filter",))
     bundle = write_bundle(MODELS[model](), folder / "b", targets=("c",), real=real, with_=more, use_cache=False)
     source = folder / "fuzz.c"
-    source.write_text(table(bundle) + FUZZ.read_text())
+    source.write_text(table(bundle) + "".join(f.read_text() for f in FUZZ))
     out = str(folder / "fuzz")
     made = [compiled.COMPILERS[0], "-std=c99", *flags, "-w", str(source), str(bundle.folder / "c" / f"{bundle.name}.c")]
     done = subprocess.run([*made, "-o", out, "-lm"], capture_output=True, text=True, check=False)

@@ -19,25 +19,11 @@ static const char *const NAMES[KINDS] = {"nominal", "near", "wild", "nan", "inf"
 #define STRETCH 25
 #define REST 8
 
-static uint64_t state_of_rng;
 static volatile sig_atomic_t stopped;
 
 static void stop(int number) {
   (void)number;
   stopped = 1;
-}
-
-static double uniform(void) { /* xorshift64*, Vigna 2016 */
-  state_of_rng ^= state_of_rng >> 12;
-  state_of_rng ^= state_of_rng << 25;
-  state_of_rng ^= state_of_rng >> 27;
-  return (double)((state_of_rng * UINT64_C(2685821657736338717)) >> 11) / 9007199254740992.0;
-}
-
-static int drawn(int n) { return (int)(uniform() * n) % n; }
-
-static double signed_power(double low, double high) {
-  return (uniform() < 0.5 ? -1 : 1) * pow(10.0, low + (high - low) * uniform());
 }
 
 static double damaged(double v, int kind, double constant) {

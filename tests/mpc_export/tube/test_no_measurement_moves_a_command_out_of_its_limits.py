@@ -43,7 +43,8 @@ def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) ->
     solver, _ = pair()
     texts = sources(solver.sizes, solver.stages, ())
     fuzz = folder / "fuzz.c"
-    fuzz.write_text(texts["controller.c"] + (HERE / "fuzz.c").read_text())
+    own = (HERE.parent / "fuzz_random.c", HERE / "fuzz.c")
+    fuzz.write_text("".join([texts["controller.c"], *(f.read_text() for f in own)]))
     include = f"-isystem{hpipm()[0]}"
     made = [*cc(), *flags, *STRICT, include, "-c", str(fuzz), "-o", str(folder / "fuzz.o")]
     subprocess.run(made, check=True)
