@@ -67,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.fit_own import RESULTS
     from greybox.commands.flight_series import series
+    from greybox.commands.responses import responses
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
@@ -168,7 +169,8 @@ def run(arguments: argparse.Namespace) -> int:
     lines = series(result.model, *drawn, adapted=adapted)
     # What physics says on the terminal stands on the page, too.
     said = {**content, "warnings": [*physics, *content["warnings"]]}
-    page = fit_report(said, lines, checked, title=f"Fit of {vehicle.name}")
+    answers = responses(result.model, prepared.data, test)
+    page = fit_report(said, lines, checked, responses=answers, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
     if arguments.json == "-":
