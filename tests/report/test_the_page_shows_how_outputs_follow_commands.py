@@ -33,13 +33,18 @@ def flown(seconds: float = 60.0, feedback: float = 0.0) -> Dataset:
     return found
 
 
+def answers(data: Dataset | None = None) -> Responses:
+    """How a model and these flights answer."""
+    data = data or flown()
+    found = responses(replace(identified({}), sample_time=data.flights[0].dt), data)
+    assert found is not None
+    return found
+
+
 @pytest.fixture(scope="module")
 def shown() -> tuple[Dataset, Responses]:
     data = flown()
-    model = replace(identified({}), sample_time=data.flights[0].dt)
-    found = responses(model, data)
-    assert found is not None
-    return data, found
+    return data, answers(data)
 
 
 def test_the_pairs_are_those_of_frf_and_the_model_lies_over_them(shown: tuple[Dataset, Responses]):
@@ -64,18 +69,15 @@ def test_steps_are_as_large_as_the_commands_of_the_flights(shown: tuple[Dataset,
 
 
 def test_the_page_says_first_that_a_loop_is_closed():
-    data = flown(feedback=0.5)
-    found = responses(replace(identified({}), sample_time=data.flights[0].dt), data)
-    page = fit_report(make_fit(), responses=found)
+    page = fit_report(make_fit(), responses=answers(flown(feedback=0.5)))
     said, figure = page.index("a closed loop"), page.index("Magnitude, phase and coherence of p over roll")
     assert page.index("How it answers to commands</h2>") < said < figure < page.index("Step response of the model")
     assert "greybox frf --references" in page
 
 
 def test_flights_that_are_too_short_leave_the_steps_and_a_reason():
-    data = flown(seconds=1.0)
-    found = responses(replace(identified({}), sample_time=data.flights[0].dt), data)
-    assert found is not None and found.measured is None and len(found.steps) == 4
+    found = answers(flown(seconds=1.0))
+    assert found.measured is None and len(found.steps) == 4
     page = fit_report(make_fit(), responses=found)
     assert "The flights tell no frequency response: too short" in page
     assert "How it answers to commands" not in fit_report(make_fit())
