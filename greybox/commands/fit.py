@@ -102,6 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     faults = check(test, vehicle) if test.flights else None
     blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
     warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
+    warnings += _unfit(arguments, vehicle)
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
     say_vehicle(vehicle, say)
@@ -246,6 +247,14 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
     if any(abs(f.dt - dt) > 1e-6 * dt for f in test):
         test = read_flights(others, vehicle, rate=1 / dt)
     return prepared, test
+
+
+def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
+    """What `greybox inspect` says first of training logs that no model can be fitted to, before any work."""
+    from greybox.data.inspection import inspect_log
+
+    found = [(path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit) for path in arguments.train]
+    return [f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why]
 
 
 def _decided(
