@@ -5,7 +5,7 @@
 # make test-releases   wheel and sdist in clean environments on Python 3.11 to 3.13 (PYTHONS="/path/python3.12 ..."),
 #             oldest and newest versions of what they need; about twenty minutes, asks PyPI
 # make site   the documentation as pages with search, in site/
-# make docs   write the pages that are generated from the code: docs/reference.md, docs/effects.md
+# make docs   write the pages that are generated from the code: reference, functions, types and effects in docs
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= demo_out
@@ -67,7 +67,7 @@ test-releases: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n 0 -s -rs tests/packaging
 
 docs: $(STAMP)
-	$(BIN)/python -m scenarios.studies.docs_reference > docs/reference.new && mv docs/reference.new docs/reference.md
+	$(BIN)/python -m scenarios.studies.docs_reference docs
 	$(BIN)/python -m greybox.commands.effects --markdown > docs/effects.new && mv docs/effects.new docs/effects.md
 
 # The documentation as a site that asks nothing of a network: python -m http.server -d site

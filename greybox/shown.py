@@ -8,6 +8,7 @@ pandas, which is imported only then. A dataclass must say `repr=False`, or its o
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,12 @@ ROWS = 40
 """Rows of a table in a notebook, at most."""
 Cell = str | float | int | bool | None
 Row = Mapping[str, Cell]
+
+
+def in_degrees(unit: str) -> tuple[str, float]:
+    """(unit as people read it, factor): angles in degrees, all else as it is."""
+    return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)
+
 
 _STYLE = "text-align:left;vertical-align:top;padding:0 1em 0 0"
 

@@ -17,6 +17,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.solver import Progress
 from greybox.model.dynamics import Dynamics
 from greybox.model.vehicle import Vehicle
+from greybox.progress import in_notebooks
 from greybox.validation.advice import Hint, hints_of_checks, hints_of_fit, hints_of_sanity
 from greybox.validation.sanity import sanity_of
 from greybox.validation.usefulness import LEFT_OUT
@@ -27,6 +28,7 @@ def _quiet(text: str) -> None:
     pass
 
 
+@in_notebooks(progress="solver", say="say")
 @says_choices(FitOptions)
 def fit(
     subject: Vehicle | Dynamics,

@@ -67,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.fit_own import RESULTS
     from greybox.commands.flight_series import series
+    from greybox.commands.responses import responses
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data import Dataset
     from greybox.data.checks import check
@@ -101,6 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     faults = check(test, vehicle) if test.flights else None
     blocking = (*prepared.report.blocking, *(faults.blocking if faults is not None else ()))
     warnings = [f"data fault in {f.flight}: {f.message}" for f in blocking]
+    warnings += _unfit(arguments, vehicle)
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
     say_vehicle(vehicle, say)
@@ -168,7 +170,8 @@ def run(arguments: argparse.Namespace) -> int:
     lines = series(result.model, *drawn, adapted=adapted)
     # What physics says on the terminal stands on the page, too.
     said = {**content, "warnings": [*physics, *content["warnings"]]}
-    page = fit_report(said, lines, checked, title=f"Fit of {vehicle.name}")
+    answers = responses(result.model, prepared.data, test)
+    page = fit_report(said, lines, checked, responses=answers, title=f"Fit of {vehicle.name}")
     report = write_atomic(out / "report.html", page)
     write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
     if arguments.json == "-":
@@ -244,6 +247,14 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
     if any(abs(f.dt - dt) > 1e-6 * dt for f in test):
         test = read_flights(others, vehicle, rate=1 / dt)
     return prepared, test
+
+
+def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
+    """What `greybox inspect` says first of training logs that no model can be fitted to, before any work."""
+    from greybox.data.inspection import inspect_log
+
+    found = [(path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit) for path in arguments.train]
+    return [f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why]
 
 
 def _decided(

@@ -29,6 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.mcap_option import write_if_asked
     from greybox.commands.model_options import fit_options
     from greybox.commands.own_model import demand_disjoint, read_flights_of
+    from greybox.commands.responses import responses
     from greybox.errors import GreyboxError
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
@@ -83,8 +84,9 @@ def run(arguments: argparse.Namespace) -> int:
         warnings.insert(0, f"no validation: {error}")
     content = save(found, warnings)
     page = fit_report(
-        content, series(found.model, train, test), None if seen is None else seen.to_dict(), title=f"Fit of {model.name}"
-    )
+        content, series(found.model, train, test), None if seen is None else seen.to_dict(),
+        responses=responses(found.model, train, test), title=f"Fit of {model.name}",
+    )  # fmt: skip
     write_atomic(out / "report.html", page)
     write_if_asked(arguments.mcap, found.model, train, test)
     if quiet:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.progress import in_notebooks
+
 if TYPE_CHECKING:
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
@@ -61,6 +63,7 @@ def export(
     return write_bundle(model, folder, targets=targets, **options).folder
 
 
+@in_notebooks(say="say")
 def compare(
     vehicle: Vehicle,
     train: Dataset,

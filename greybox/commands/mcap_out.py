@@ -1,16 +1,16 @@
 """`--mcap F.mcap`: flights beside what a model says of them, for Foxglove, Rerun and PlotJuggler.
 
-Poses, paths and lines of a log follow the JSON schemas of Foxglove (https://docs.foxglove.dev/docs/sdk/schemas);
-innovations, forces and torques are plain numbers, each with a schema of its own. One channel per flight and
-kind, /FLIGHT/KIND.
+Poses, paths and lines of a log are messages of Foxglove (https://docs.foxglove.dev/docs/sdk/schemas), as protocol buffers:
+Rerun and PlotJuggler take those apart, and leave JSON as bytes. Innovations, forces and torques are plain numbers, each
+in a type of its own. One channel per flight and kind, /FLIGHT/KIND.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 
 from greybox.commands.flight_series import POSE, ahead_of, flight_parameters
 from greybox.data import Dataset, Segment
+from greybox.data.readers.protobuf import Enums, Field, Types, describe, encode, fields
 from greybox.distribution import VERSION
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.smoothing import smooth
@@ -29,46 +30,58 @@ AHEAD = 0.5
 """Seconds that `ahead` looks ahead, as the curves of a page."""
 BAND = 1.96
 """Half width of the band of force and torque in standard deviations: 95 % of a normal distribution."""
-WORLD, CRAFT = "world", "craft"
+WORLD = "world"
 
-_TIME = {
-    "type": "object", "title": "time",
-    "properties": {"sec": {"type": "integer", "minimum": 0},
-                   "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999}},
-    "required": ["sec", "nsec"],
-}  # fmt: skip
+def _message(name: str, of: str, number: int, *, many: bool = False) -> Field:
+    return Field(name=name, number=number, kind="message", of=of, many=many)
 
 
-def _numbers(title: str, names: Sequence[str], kind: Any = "number") -> dict[str, Any]:
-    return {"type": "object", "title": title, "properties": {n: {"type": kind} for n in names}, "required": list(names)}
-
-
-def _stamped(title: str, **properties: Any) -> dict[str, Any]:
-    all_ = {"timestamp": _TIME, **properties}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object",
-            "properties": all_, "required": list(all_)}  # fmt: skip
-
-
-_VECTOR, _QUATERNION = _numbers("foxglove.Vector3", "xyz"), _numbers("foxglove.Quaternion", "xyzw")
-_POSE = {
-    "type": "object", "title": "foxglove.Pose",
-    "properties": {"position": _VECTOR, "orientation": _QUATERNION}, "required": ["position", "orientation"],
-}  # fmt: skip
-SCHEMAS: Mapping[str, Mapping[str, Any]] = {
-    "foxglove.PoseInFrame": _stamped("foxglove.PoseInFrame", frame_id={"type": "string"}, pose=_POSE),
-    "foxglove.PosesInFrame": _stamped(
-        "foxglove.PosesInFrame", frame_id={"type": "string"}, poses={"type": "array", "items": _POSE}
+_STAMP = _message("timestamp", "google.protobuf.Timestamp", 1)
+TYPES: Types = {
+    "google.protobuf.Timestamp": fields(("seconds", "int64"), ("nanos", "int32")),
+    "foxglove.Vector3": fields(*"xyz"),
+    "foxglove.Quaternion": fields(*"xyzw"),
+    "foxglove.Pose": (
+        _message("position", "foxglove.Vector3", 1), _message("orientation", "foxglove.Quaternion", 2),
     ),
-    "foxglove.FrameTransform": _stamped(
-        "foxglove.FrameTransform", parent_frame_id={"type": "string"}, child_frame_id={"type": "string"},
-        translation=_VECTOR, rotation=_QUATERNION,
+    "foxglove.PoseInFrame": fields(_STAMP, ("frame_id", "string"), ("pose", "message", "foxglove.Pose")),
+    "foxglove.PosesInFrame": fields(
+        _STAMP, ("frame_id", "string"), _message("poses", "foxglove.Pose", 3, many=True)
     ),
-    "foxglove.Log": _stamped(
-        "foxglove.Log", level={"type": "integer", "minimum": 0, "maximum": 5}, message={"type": "string"},
-        name={"type": "string"}, file={"type": "string"}, line={"type": "integer", "minimum": 0},
+    "foxglove.FrameTransform": fields(
+        _STAMP, ("parent_frame_id", "string"), ("child_frame_id", "string"),
+        ("translation", "message", "foxglove.Vector3"), ("rotation", "message", "foxglove.Quaternion"),
+    ),
+    "foxglove.Log": fields(
+        _STAMP, ("level", "enum", "foxglove.Log.Level"), ("message", "string"), ("name", "string"), ("file", "string"),
+        ("line", "fixed32"),
     ),
 }  # fmt: skip
-"""By name, as far as they are written here: every field of these is required."""
+"""Message types by full name, with Foxglove's own numbers."""
+ENUMS: Enums = {
+    "foxglove.Log.Level": {"UNKNOWN": 0, "DEBUG": 1, "INFO": 2, "WARNING": 3, "ERROR": 4, "FATAL": 5}
+}
+
+
+def rows_of(title: str, kinds: Sequence[str], labels: Sequence[str]) -> dict[str, Sequence[Field]]:
+    """A stamped message type of ours, with a part per kind that has a number per label."""
+    part = f"{title}Values"
+    own = (_STAMP, *(_message(k, part, i) for i, k in enumerate(kinds, start=2)))
+    return {title: own, part: fields(*labels)}
+
+
+def plain_names(labels: Sequence[str]) -> list[str]:
+    """Labels as names of fields: letters, digits and _, each once."""
+    out: list[str] = []
+    for label in labels:
+        name = re.sub(r"\W", "_", label, flags=re.ASCII)
+        name = f"_{name}" if name[:1].isdigit() or not name else name
+        while name in out:
+            name += "_"
+        out.append(name)
+    return out
+
+
 INFO, WARNING = 2, 3
 
 
@@ -77,28 +90,38 @@ class Recording:
 
     def __init__(self, writer: Any) -> None:
         self._writer = writer
+        self._types: dict[str, Sequence[Field]] = dict(TYPES)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._count: dict[str, int] = {}
 
-    def message(
-        self, topic: str, schema: str, t: float, content: Mapping[str, Any], own: Mapping[str, Any] | None = None
-    ) -> None:
-        """One message of a channel at `t` [s]; `own` is the schema where it is not one of `SCHEMAS`."""
+    def declare(self, types: Types) -> None:
+        """Take message types besides `TYPES`, before their first message."""
+        self._types.update(types)
+
+    def message(self, topic: str, kind: str, t: float, content: Mapping[str, Any]) -> None:
+        """One message of a channel at `t` [s], without its stamp; `kind` is the full name of its type."""
         if topic not in self._channels:
-            if schema not in self._schemas:
-                text = json.dumps(own or SCHEMAS[schema]).encode()
-                self._schemas[schema] = self._writer.register_schema(name=schema, encoding="jsonschema", data=text)
+            if kind not in self._schemas:
+                text = describe(self._types, kind, ENUMS)
+                self._schemas[kind] = self._writer.register_schema(name=kind, encoding="protobuf", data=text)
             self._channels[topic] = self._writer.register_channel(
-                topic=topic, message_encoding="json", schema_id=self._schemas[schema]
+                topic=topic, message_encoding="protobuf", schema_id=self._schemas[kind]
             )
         nanoseconds = round(t * 1e9)
-        stamp = {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
+        stamp = {"seconds": nanoseconds // 10**9, "nanos": nanoseconds % 10**9}
         sequence = self._count[topic] = self._count.get(topic, -1) + 1
         self._writer.add_message(
             channel_id=self._channels[topic], log_time=nanoseconds, publish_time=nanoseconds, sequence=sequence,
-            data=json.dumps({"timestamp": stamp, **content}, allow_nan=False).encode(),
+            data=encode(self._types, kind, {"timestamp": stamp, **content}),
         )  # fmt: skip
+
+    def pose(self, root: str, t: float, pose: Mapping[str, Any], *, craft: str) -> None:
+        """A pose at a time, and the same as the frame `craft`, which a 3D view moves."""
+        self.message(f"{root}/pose", "foxglove.PoseInFrame", t, {"frame_id": WORLD, "pose": pose})
+        place = {"parent_frame_id": WORLD, "child_frame_id": craft,
+                 "translation": pose["position"], "rotation": pose["orientation"]}  # fmt: skip
+        self.message(f"{root}/tf", "foxglove.FrameTransform", t, place)
 
     def log(self, topic: str, t: float, text: str, *, level: int = INFO) -> None:
         """A line of text at a time."""
@@ -153,26 +176,20 @@ def _segment(out: Recording, root: str, runner: Filter, found: Filtered, segment
             path = []
             for t, row in zip(times, rows[:, columns]):
                 if np.isfinite(row).all():
-                    pose = _pose(row)
+                    pose = pose_of(row)
                     path.append(pose)
-                    out.message(f"{root}/{kind}/pose", "foxglove.PoseInFrame", t, {"frame_id": WORLD, "pose": pose})
-                    if kind == "measured":
-                        place = {"parent_frame_id": WORLD, "child_frame_id": f"{CRAFT} {root[1:]}",
-                                 "translation": pose["position"], "rotation": pose["orientation"]}  # fmt: skip
-                        out.message("/tf", "foxglove.FrameTransform", t, place)
+                    out.pose(f"{root}/{kind}", t, pose, craft=f"{root[1:]} {kind}")
             if path:
                 thin = path[:: max(1, len(path) // 500)]
                 out.message(f"{root}/{kind}/path", "foxglove.PosesInFrame", times[0], {"frame_id": WORLD, "poses": thin})
     labels = dynamics.innovations.names
-    own = _stamped(
-        "greybox.Innovations",
-        value=_numbers("innovations", labels, ["number", "null"]), std=_numbers("standard deviations", labels),
-    )  # fmt: skip
-    there = found.record.mask > 0
-    for t, e, s, seen in zip(times, found.innovations, found.sigma, there):
-        value = {n: float(v) if ok else None for n, v, ok in zip(labels, e, seen)}
-        content = {"value": value, "std": {n: float(v) for n, v in zip(labels, s)}}
-        out.message(f"{root}/innovations", f"greybox.Innovations {' '.join(labels)}", t, content, own)
+    fields_of = plain_names(labels)
+    out.declare(rows_of("greybox.Innovations", ("value", "std"), fields_of))
+    # A measurement that is missing is not a number.
+    innovations = np.where(found.record.mask > 0, found.innovations, np.nan)
+    for t, e, s in zip(times, innovations, found.sigma):
+        content = {"value": dict(zip(fields_of, e)), "std": dict(zip(fields_of, s))}
+        out.message(f"{root}/innovations", "greybox.Innovations", t, content)
     _pushes(out, root, runner, found, times)
 
 
@@ -188,15 +205,16 @@ def _pushes(out: Recording, root: str, runner: Filter, found: Filtered, times: F
     half = BAND * np.sqrt(smoothed.variance[:, [spread[n] for n in chosen]])
     for kind in dict.fromkeys(n.split(".")[1] for n in chosen):
         at = [i for i, n in enumerate(chosen) if n.split(".")[1] == kind]
-        axes = [chosen[i].split(".", 2)[-1] for i in at]
-        own = _stamped(f"greybox.Push {kind}", **{k: _numbers(k, axes) for k in ("value", "low", "high")})
+        axes = plain_names([chosen[i].split(".", 2)[-1] for i in at])
+        title = f"greybox.{kind.capitalize()}"
+        out.declare(rows_of(title, ("value", "low", "high"), axes))
         for t, v, h in zip(times, value[:, at], half[:, at]):
             rows = {"value": v, "low": v - h, "high": v + h}
-            content = {k: dict(zip(axes, map(float, r))) for k, r in rows.items()}
-            out.message(f"{root}/{kind}", f"greybox.Push {kind}", t, content, own)
+            content = {k: dict(zip(axes, r)) for k, r in rows.items()}
+            out.message(f"{root}/{kind}", title, t, content)
 
 
-def _pose(row: FloatArray) -> dict[str, dict[str, float]]:
+def pose_of(row: Sequence[float] | FloatArray) -> dict[str, dict[str, float]]:
     """A pose of Foxglove from (x, y, z, qw, qx, qy, qz)."""
     x, y, z, *q = (float(v) for v in row)
     size = math.hypot(*q) or 1.0

@@ -45,6 +45,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--seed", type=int, default=0, metavar="S", help="another set of gusts")
     p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
+    p.add_argument("--mcap", metavar="F.mcap", default=None, help="also write the watched flights with their plans, for "
+                   "Foxglove, Rerun or PlotJuggler")  # fmt: skip
     p.add_argument("--json", metavar="F", default=None, help="also write mpc.json to F ('-': standard output)")
     p.set_defaults(run=run)
 
@@ -70,9 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     _check(arguments)
     from greybox.commands.judgement import gate
+    from greybox.commands.mcap_option import need_mcap
     from greybox.errors import GreyboxError
     from greybox.files import read_json
 
+    need_mcap(arguments.mcap)
     file = {} if arguments.subject == "demo" else read_json(arguments.subject)
     base = file.get("base")
     if "own" in (file.get("kind"), base.get("kind") if isinstance(base, dict) else None):
@@ -120,7 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
             warnings=[*warnings, *flown.warnings],
         )  # fmt: skip
         write_json(out / "mpc.json", content)
-        write_atomic(out / "report.html", mpc_report(content, rows, read_traces(campaign, flown.entries, watched)))
+        traces = read_traces(campaign, flown.entries, watched)
+        write_atomic(out / "report.html", mpc_report(content, rows, traces))
+        if arguments.mcap is not None:
+            from greybox.commands.mcap_mpc import write_mpc_mcap
+
+            write_mpc_mcap(arguments.mcap, rows, traces)
         return content
 
     arguments.kept = f"what was flown is in {out}; the same command goes on"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,17 +29,31 @@ _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
     "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
 }
+_UNITS = {
+    "rate": {"deg/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"},
+    "specific_force": {"m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s\N{SUPERSCRIPT TWO}": "m/s^2", "g": "g", "mg": "mg"},
+    "rotor_speed": {"rpm": "rpm", "rad/s": "rad/s", "hz": "Hz"},
+    "battery": {"v": "V", "mv": "mV"},
+    "attitude": {"deg": "deg", "\N{DEGREE SIGN}": "deg", "rad": "rad"},
+    "position": {"m": "m", "mm": "mm"},
+    "setpoint": {"m": "m", "mm": "mm"},
+    "velocity": {"m/s": "m/s", "mm/s": "mm/s"},
+}
+"""Units as names of columns say them, "Gyro X (deg/s)", per group."""
+_UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
 _LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
 _TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
-    """A group, the columns that look like it in the order of its channels, its unit ("": SI), and why."""
+    """A group, the columns that look like it in the order of its channels, its unit ("": SI), its frame ("": ours), and
+    why."""
 
     group: str
     fields: tuple[str, ...]
     unit: str = ""
+    frame: str = ""
     limits: tuple[float, float] | None = None
     why: str = ""
 
@@ -66,22 +80,35 @@ def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()
     for members in _families(columns, {"roll": 0, "pitch": 1, "yaw": 2}).values():
         if len(members) == 3:
             found.setdefault("attitude", []).append(tuple(members[i] for i in range(3)))
+    for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}).items():
+        if len(members) == 3:
+            group = "velocity" if _says(stem, _WORDS["velocity"]) else "position"
+            found.setdefault(group, []).append(tuple(members[i] for i in range(3)))
     for name in columns:
         if re.search(r"v_?bat|volt|battery", name.lower()):
             found.setdefault("battery", []).append((name,))
     left_out = set(without)
-    return tuple(
+    return _framed(
         _sized(group, min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))), columns)
         for group in (*_NUMBERED, "battery", "attitude", *_WORDS)
         if group in found and group not in left_out
     )
 
 
+def _framed(guesses: Iterable[Guess]) -> tuple[Guess, ...]:
+    """The same with frames: where the accelerometer's z says gravity downwards, x forward and y to the right go with it,
+    in all that one IMU says; "down" is a name."""
+    found = tuple(guesses)
+    turned = any(g.group == "specific_force" and g.frame for g in found)
+    frames = {"rate": "FRD", "attitude": "FRD/NED"} if turned else {}
+    return tuple(replace(g, frame=g.frame or frames.get(g.group, "")) for g in found)
+
+
 def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
     """(column, unit) of the clock: it grows, it has the name of a clock, and its steps are those of 20 Hz to 4 kHz."""
     for name, values in columns.items():
         step = np.diff(values[np.isfinite(values)])
-        if not _TIME.fullmatch(name.lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
+        if not _TIME.fullmatch(_bare(name).lower()) or step.size < 2 or np.mean(step > 0) < 0.9:
             continue
         middle = float(np.median(step[step > 0]))
         for unit, seconds in TIME_UNITS.items():
@@ -101,6 +128,7 @@ def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
     for g in guesses:
         lines += [f"[{g.group}]", f"fields = [{', '.join(json.dumps(f) for f in g.fields)}]"]
         lines += [f'unit = "{g.unit}"'] if g.unit else []
+        lines += [f'frame = "{g.frame}"'] if g.frame else []
         lines += [f"limits = [{g.limits[0]:g}, {g.limits[1]:g}]"] if g.limits else []
         lines[-1] += f"  # {g.why}" if g.why else ""
     return "\n".join(lines) + "\n"
@@ -110,10 +138,16 @@ def _families(columns: Iterable[str], ends: Mapping[str, int]) -> dict[str, dict
     """stem -> {place: column} of columns whose names differ in their end only: gyro.x, gyroADC[0], motor_m1, qw."""
     out: dict[str, dict[int, str]] = {}
     for name in columns:
-        match = re.fullmatch(rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*", name, re.IGNORECASE)
+        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*"
+        match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
             out.setdefault(match[1].lower(), {}).setdefault(ends[match[2].lower()], name)
     return out
+
+
+def _bare(name: str) -> str:
+    """A name without the unit that it ends with."""
+    return _UNIT.sub("", name)
 
 
 def _says(stem: str, words: str) -> bool:
@@ -130,13 +164,15 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         return Guess(group=group, fields=names, why="no numbers to tell the unit by")
     low, high = float(values.min()), float(values.max())
     size = max(-low, high)
-    unit, limits, why = "", None, f"values from {low:.3g} to {high:.3g}"
+    unit, limits, why, frame = "", None, f"values from {low:.4g} to {high:.4g}", ""
     if group == "rate":
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
         norm = float(np.median(np.linalg.norm(values, axis=1)))
         unit = next((u for u, g in (("m/s^2", GRAVITY), ("g", 1.0), ("mg", 1000.0)) if 0.7 < norm / g < 1.4), "")
         why = f"middle length {norm:.3g}" + ("" if unit else ": of no known unit")
+        if float(np.median(values[:, 2])) < -0.5 * norm:
+            frame, why = "FRD", f"{why}, z negative: z is down"
     elif group == "command":
         ranges = ((0.0, 1.0), (0.0, 100.0), (0.0, 255.0), (1000.0, 2000.0), (0.0, 2047.0), (0.0, 65535.0))
         limits = next((r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None)
@@ -151,4 +187,11 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "mm" if size > 1000 else "m"
     elif group == "velocity":
         unit = "mm/s" if size > 100 else "m/s"
-    return Guess(group=group, fields=names, unit=unit, limits=limits, why=why)
+    if group in ("position", "velocity") and "down" in names[2].lower():
+        frame = "NED"
+    said = _UNIT.search(names[0])
+    stated = _UNITS.get(group, {}).get(said[1].lower(), unit) if said else unit
+    if group == "specific_force" and stated != unit:
+        why = f"middle length {norm:.3g}: not gravity in that unit"
+    unit = stated
+    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, why=why)

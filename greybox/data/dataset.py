@@ -26,7 +26,7 @@ class Flight(Shown):
     """One flight (one log): its segments in order of time and where they came from.
 
     `source` is the file name, `sha256` the checksum of its bytes ("" for data from memory), `notes` say what
-    conditioning did, `removed` which samples were taken as missing because no craft can have made them, `noncausal` are
+    conditioning did, `removed` which samples were taken as missing because no craft can have made them. `noncausal` are
     channels whose values were smoothed with later samples. Raises `DataError` where there is no segment or the sample
     times differ.
     """

@@ -34,6 +34,7 @@ from greybox.estimation.options import says_choices
 from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.progress import in_notebooks
 from greybox.validation.gap import Foresight, foresee, gap, outgrown
 
 SHORTEST_FLIGHT = 0.6
@@ -41,6 +42,7 @@ SHORTEST_FLIGHT = 0.6
 Progress = Callable[[str, float], None]
 
 
+@in_notebooks(progress="share")
 @says_choices(DiscoverOptions)
 @threadpool_limits.wrap(limits=1)  # small matrices: threads of BLAS only wait for each other
 def discover(

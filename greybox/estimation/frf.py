@@ -255,9 +255,9 @@ def _warnings(
         )
     elif fed:
         said.append(
-            f"{', '.join(fed)} follows the outputs (a closed loop): where gusts or noise move the craft more than the "
-            "excitation does, what is seen is the controller, turned round, however high the coherence. Excite the "
-            "set points, log them, and name them with --references"
+            f"{', '.join(fed)} follow{'s' * (len(fed) == 1)} the outputs (a closed loop): where gusts or "
+            "noise move the craft more than the excitation does, what is seen is the controller, turned round, however "
+            "high the coherence. Excite the set points, log them, and name them: greybox frf --references"
             + ("" if model is None else ". Where model and flights part, either may be wrong")
         )
     for j, spec in enumerate(c.inputs):

@@ -39,8 +39,8 @@ def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
     """The effects of a Python file: one instance of every class in it that derives from `Effect`, in the file's order.
 
     The same text gives the same instances. Raises `ModelError` with file and line where the file cannot be read or run,
-    has no effect, uses a name of the catalogue, or has an effect that is not declared completely, returns what its stage
-    does not know, or does not vanish at its null.
+    has no effect, or uses a name of the catalogue. So does an effect that is not declared completely, returns what its
+    stage does not know, or does not vanish at its null.
     """
     file = Path(path)
     try:

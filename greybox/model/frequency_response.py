@@ -29,12 +29,36 @@ def response_of(
 
     Raises `ModelError` at and above half the model's sample rate.
     """
+    dynamics, dt, x, u, p = _point(model)
+    return _response(dynamics, dt, frequency, x, u, p)
+
+
+def step_response(model: IdentifiedModel | LinearModel, steps: int) -> FloatArray:
+    """What the innovation components do in samples 0 to `steps` - 1 (steps, n_e, n_u) after a unit step of each input
+    at sample 0, about the same point: a deviation, and of the linearised model."""
+    dynamics, dt, x, u, p = _point(model)
+    past = dynamics.window[0]
+    a, c, b, d = _slopes(dynamics, dt, x, u, p)
+    columns = b.shape[1] // len(u)
+    b, d = (m.reshape(len(m), columns, len(u)) for m in (b, d))
+    state, out = np.zeros((len(a), len(u))), np.zeros((steps, len(c), len(u)))
+    for k in range(steps):
+        pushed = np.arange(columns) - past + k >= 0
+        out[k] = c @ state + d[:, pushed].sum(axis=1)
+        state = a @ state + b[:, pushed].sum(axis=1)
+    return out
+
+
+def _point(
+    model: IdentifiedModel | LinearModel,
+) -> tuple[Dynamics, float, FloatArray, FloatArray, FloatArray]:
+    """(dynamics, sample time [s], state, inputs, parameters) where a model is linearised."""
     if isinstance(model, LinearModel):
         values = nominal_values(model.parameters)
         p = np.array([values[d.name] for d in model.parameters])
-        return _response(model, model.dt, frequency, np.zeros(model.order), model.input_offset, p)
+        return model, model.dt, np.zeros(model.order), model.input_offset, p
     x, u = model.reference_state, model.reference_inputs
-    return _response(model.dynamics, model.sample_time, frequency, x, u, model.parameter_vector())
+    return model.dynamics, model.sample_time, x, u, model.parameter_vector()
 
 
 def _response(

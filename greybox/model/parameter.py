@@ -17,8 +17,8 @@ class Parameter:
     """Declaration of one scalar parameter. It never holds an estimate; free or fixed is a choice of the fit call.
 
     `nominal` is the value where nothing else is said, `null` the value that removes the effect (None where there is
-    no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior), `scale`
-    the size of a typical change (for conditioning and for random starts), `possible` the largest distance from `null`
+    no such value), `sigma` the standard deviation of the prior around `nominal` (0 = exact, inf = no prior). `scale`
+    is the size of a typical change (for conditioning and for random starts), `possible` the largest distance from `null`
     that a craft can have: more is a fault of the data, not a property of the vehicle. `origin` is the value at
     which the factor that it stands for vanishes; None: what cannot be negative is a factor of its own.
     """

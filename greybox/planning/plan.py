@@ -21,11 +21,13 @@ from greybox.planning.options import PlanChoices, PlanOptions
 from greybox.planning.pieces import Flown, fit_in, pieces, sequence
 from greybox.planning.result import Plan, Step
 from greybox.planning.subject import Subject, subject
+from greybox.progress import in_notebooks
 
 ROUNDS, SMALLER = 8, 0.85
 """How often, and by which factor, manoeuvres that break a limit in the whole flight are made smaller."""
 
 
+@in_notebooks(say="say")
 @says_choices(PlanOptions)
 def plan(
     vehicle: Vehicle | None = None,

@@ -15,7 +15,8 @@ from greybox.report.discover_sections import sensors_section
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.validation_sections import headline_groups
-from greybox.report.words import in_degrees, number, rounded
+from greybox.report.words import number, rounded
+from greybox.shown import in_degrees
 from greybox.validation.gap import closed_in_words
 
 ANSWERS = {

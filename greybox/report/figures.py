@@ -207,7 +207,7 @@ def dot_plot(
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.xaxis.set_major_formatter(_SHORT)
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel(_plain(unit), fontsize=8.5, color=MUTED, labelpad=2)
+    axes.set_xlabel("" if unit == "-" else _plain(unit), fontsize=8.5, color=MUTED, labelpad=2)
     # The title starts at the left edge: next to long names there is no room above the axes alone.
     figure.text(0.06 / WIDTH, 1 - 0.17 / height, _plain(title), fontsize=9.5, color=INK, va="center")
     return figure

@@ -9,10 +9,13 @@ from typing import Any
 from greybox.report import figures
 from greybox.report.flight_section import FlightSeries, flight_section
 from greybox.report.html import Cell, Key, Report, Share, Span, Tag
+from greybox.report.response_section import Responses, response_section
 from greybox.report.validation_sections import first_line, headline_figure, horizon_section, residual_section
 from greybox.report.words import interval, number, rounded, strong_correlations, whiteness_verdict
 
 _SHOWN = 40
+_BESIDE = 4
+"""Flights in one table of per-flight parameters: names are long, and more would be cut off on a desk."""
 
 
 def fit_report(
@@ -20,11 +23,13 @@ def fit_report(
     flights: Mapping[str, FlightSeries] | None = None,
     validation: Mapping[str, Any] | None = None,
     *,
+    responses: Responses | None = None,
     title: str | None = None,
 ) -> str:
     """The page of a fit. `fit` follows schemas/fit.json, `validation` schemas/validate.json; both may lack options.
 
-    `flights` maps flight names to their time series. Raises `KeyError` where a required field of `fit` is missing.
+    `flights` maps flight names to their time series; `responses` is how outputs follow commands. Raises
+    `KeyError` where a required field of `fit` is missing.
     """
     model, status = fit["model"], fit["status"]
     seconds = sum(f.get("seconds") or 0.0 for f in fit["flights"])
@@ -50,6 +55,7 @@ def fit_report(
     _parameters(report, fit)
     _per_flight(report, fit)
     flight_section(report, flights or {})
+    response_section(report, responses)
     if validation:
         residual_section(report, validation)
     _identifiability(report, fit)
@@ -77,8 +83,9 @@ def _what(report: Report, fit: Mapping[str, Any]) -> None:
     rows.append(("Solver's end", ", ".join(t for t in [str(status.get("code", "")), *effort] if t)))
     if cost:
         labels = {"loglik": "log likelihood", "n_samples": "samples", "n_parameters": "free parameters"}
-        text = [f"{labels.get(k, k.upper())} {number(v, 7)}" for k, v in cost.items() if isinstance(v, (int, float))]
-        rows.append(("Cost", ", ".join(text)))
+        labels |= {"aic": "AIC", "bic": "BIC"}
+        known = {labels.get(k, k.replace("_", " ")): v for k, v in cost.items() if isinstance(v, (int, float))}
+        rows.append(("Cost", ", ".join(f"{k} {number(v, 7)}" for k, v in known.items())))
     report.facts(rows)
     body: list[list[Cell]] = [
         [f["name"], f.get("samples"), number(f.get("seconds"), 4), "; ".join(f.get("notes", []))]
@@ -95,7 +102,7 @@ def _plain(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} = {_plain(v)}" for k, v in value.items())
     if isinstance(value, (list, tuple)):
-        return ", ".join(_plain(v) for v in value)
+        return ", ".join(_plain(v) for v in value) or "none"
     return "none" if value is None else str(value)
 
 
@@ -186,15 +193,14 @@ def _per_flight(report: Report, fit: Mapping[str, Any]) -> None:
     report.figures(panels, caption="One value per flight; a spread beyond the bars is a real difference.", key=key)
     with report.details("The numbers"):
         flights = list(dict.fromkeys(f for p in chosen.values() for f in p["per_flight"]))
-        rows: list[list[Cell]] = []
-        for flight in flights:
-            cells: list[Cell] = []
-            for p in chosen.values():
-                v = p["per_flight"].get(flight)
-                cells.append(None if v is None else " ± ".join(rounded(v["value"], v.get("std"))))
-            rows.append([flight, *cells])
-        heads = ["flight", *(f"{n} [{p.get('unit', '')}]" for n, p in chosen.items())]
-        report.table(heads, rows, numeric=range(1, len(heads)))
+        for first in range(0, len(flights), _BESIDE):
+            part = flights[first : first + _BESIDE]
+            rows: list[list[Cell]] = []
+            for name, p in chosen.items():
+                own = [p["per_flight"].get(flight) for flight in part]
+                cells = [None if v is None else " ± ".join(rounded(v["value"], v.get("std"))) for v in own]
+                rows.append([f"{name} [{p.get('unit', '')}]", *cells])
+            report.table(["parameter", *part], rows, numeric=range(1, len(part) + 1))
 
 
 def _identifiability(report: Report, fit: Mapping[str, Any]) -> None:

@@ -12,7 +12,8 @@ from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
 from greybox.report.validation_sections import first_line, headline_groups
-from greybox.report.words import in_degrees, number
+from greybox.report.words import number
+from greybox.shown import in_degrees
 
 HONEST = (0.88, 0.99)
 """Coverage of a 95 % region that passes without a mark: few flights, whose errors are alike within each of them."""

@@ -12,7 +12,8 @@ from greybox.model.verdict import NOT_JUDGED, Outcome, Verdict
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, Tag
 from greybox.report.svg import SERIES
-from greybox.report.words import cross_verdict, in_degrees, number, p_value, whiteness_verdict
+from greybox.report.words import cross_verdict, number, p_value, whiteness_verdict
+from greybox.shown import in_degrees
 from greybox.validation.usefulness import in_words
 
 ROWS = (

@@ -16,11 +16,6 @@ def _minus(text: str) -> str:
     return _EXPONENT.sub(lambda m: f"e{m.group(1).replace('+', '')}{m.group(2)}", text).replace("-", MINUS)
 
 
-def in_degrees(unit: str) -> tuple[str, float]:
-    """(unit as people read it, factor): angles in degrees, all else as it is."""
-    return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)
-
-
 def number(value: float | None, digits: int = 4) -> str:
     """A number with `digits` significant digits; a dash where there is none."""
     if value is None or not math.isfinite(value):
@@ -28,17 +23,19 @@ def number(value: float | None, digits: int = 4) -> str:
     return _minus(f"{value:.{digits}g}")
 
 
-def rounded(value: float | None, std: float | None) -> tuple[str, str]:
+def rounded(value: float | None, std: float | None, *, like: float | None = None) -> tuple[str, str]:
     """(value, std) as text, both to the second significant digit of the standard deviation.
 
-    A spread that is missing or zero leaves five significant digits and a dash.
+    A spread that is missing or zero leaves five significant digits and a dash. Numbers below 0.001 have an exponent;
+    `like` is the number that decides so (default: the larger of the two).
     """
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}", "\N{EN DASH}"
     if std is None or not math.isfinite(std) or std <= 0:
         return number(value, 5), "\N{EN DASH}"
     place = math.floor(math.log10(std)) - 1
-    if place >= -6 and abs(value) < 1e6 and std < 1e6:
+    largest = max(abs(value), std) if like is None else like
+    if place >= -6 and 1e-3 <= largest < 1e6:
         digits = max(0, -place)
         return _minus(f"{round(value, -place):.{digits}f}"), f"{round(std, -place):.{digits}f}"
     size = math.floor(math.log10(max(abs(value), std)))
@@ -49,7 +46,8 @@ def interval(value: float | None, std: float | None) -> str:
     """The 95 % interval value -+ 1.96 std as text."""
     if value is None or std is None or not math.isfinite(value) or not math.isfinite(std) or std <= 0:
         return "\N{EN DASH}"
-    low, high = rounded(value - 1.96 * std, std)[0], rounded(value + 1.96 * std, std)[0]
+    like = max(abs(value), std)
+    low, high = (rounded(value + side * std, std, like=like)[0] for side in (-1.96, 1.96))
     return f"{low} .. {high}"
 
 

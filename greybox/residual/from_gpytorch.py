@@ -55,10 +55,10 @@ def from_gpytorch(
     """The posterior of a trained GPyTorch model as a `GaussianProcess`.
 
     `model` is an ExactGP (one output, a batch of independent outputs, MultitaskKernel, LCMKernel;
-    also on inducing points), an ApproximateGP (VariationalStrategy or
-    UnwhitenedVariationalStrategy; independent outputs, LMC), a list of such models
-    (IndependentModelList, BoTorch's ModelListGP), or a BoTorch SingleTaskGP with its input and
-    outcome transforms. `likelihood` defaults to `model.likelihood`. `inputs` and `outputs` name
+    also on inducing points) or an ApproximateGP (VariationalStrategy or
+    UnwhitenedVariationalStrategy; independent outputs, LMC). Lists of such models
+    (IndependentModelList, BoTorch's ModelListGP) and a BoTorch SingleTaskGP with its input and
+    outcome transforms are taken, too. `likelihood` defaults to `model.likelihood`. `inputs` and `outputs` name
     the signals (or give a `Layout` with units). Models that were trained on standardised data take
     `input_transform` = (mean, scale) (n_in,), x = (z - mean)/scale, and `output_transform` =
     (mean, scale) (n_out,), y = mean + scale f. The model is not changed.

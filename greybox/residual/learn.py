@@ -23,6 +23,7 @@ from greybox.data import Dataset
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.layer import physics_of
+from greybox.progress import in_notebooks
 from greybox.residual.candidates import FeatureMaker, gp_candidates
 from greybox.residual.discrepancy import discrepancy, disturbed_model
 from greybox.residual.feature_posterior import FeaturePosterior
@@ -144,6 +145,7 @@ def feature_sets(model: IdentifiedModel, *, place: bool = False) -> dict[str, tu
     return {n: s for n, s in sets.items() if s}
 
 
+@in_notebooks(progress="share")
 def learn(
     model: IdentifiedModel,
     train: Dataset,

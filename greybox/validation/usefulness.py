@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.model.verdict import GroupSkill, Outcome, Verdict
+from greybox.shown import in_degrees
 from greybox.symbolic import BoolArray, FloatArray
 from greybox.validation.advice import Hint, Symptom, likely, symptom_of_group
 from greybox.validation.groups import Group
@@ -263,7 +264,7 @@ def _conclude(
     else:
         outcome = Outcome.USABLE
         line = (
-            f"{_useful(useful, len(seconds) == ends)}: errors stay below holding the last value; "
+            f"{_useful(useful, len(seconds) == ends)}: {_claim(counted, (seconds > rule.short)[:ends])}; "
             f"{seconds[at]:.2g} s ahead {', '.join(_compared(g) for g in groups)}"
         )
     if unjudged:
@@ -313,12 +314,23 @@ def _useful(useful: float, whole: bool) -> str:
     return f"useful for {useful:.2g} s{' and more' if whole else ''}"
 
 
+def _claim(counted: Sequence[_Comparison], late: BoolArray) -> str:
+    """What holds up to the end of use, at the horizons that are `late` enough: below the last value, or not above it by
+    more than chance."""
+    with np.errstate(invalid="ignore"):
+        above = [c.name for c in counted if (c.model[: len(late)] > c.last[: len(late)])[late].any()]
+    if not above:
+        return "errors stay below holding the last value"
+    return f"no error is above holding the last value by more than chance ({' and '.join(map(_word, above))}: level with it)"
+
+
 def _word(group: str) -> str:
     return group.replace("_", " ")
 
 
 def _value(value: float, kind: Group) -> str:
-    return f"{value:.2g} {kind.unit}"
+    unit, factor = in_degrees(kind.unit)
+    return f"{factor * value:.2g} {unit}"
 
 
 def _symptom(kind: Group, lost: bool) -> Symptom:
@@ -329,8 +341,9 @@ def _symptom(kind: Group, lost: bool) -> Symptom:
 
 
 def _compared(g: GroupSkill) -> str:
-    floor = "" if g.measured_imu is None else f", measured IMU {g.measured_imu:.2g}"
-    return f"{_word(g.name)} {g.error:.2g} {g.unit} (last value {g.last_value:.2g}{floor})"
+    unit, factor = in_degrees(g.unit)
+    floor = "" if g.measured_imu is None else f", measured IMU {factor * g.measured_imu:.2g}"
+    return f"{_word(g.name)} {factor * g.error:.2g} {unit} (last value {factor * g.last_value:.2g}{floor})"
 
 
 def _no_better(kind: Sequence[_Comparison], span: slice, rule: Standard) -> list[_Comparison]:
@@ -351,7 +364,7 @@ def _failure(worst: _Comparison, lost: bool, seconds: FloatArray, at: int) -> st
         text = f"{_word(worst.name)} is no better than holding the last value"
     if not np.isfinite(worst.model[at]):
         return f"{text}, and not finite"
-    own, last = _value(worst.model[at], worst.kind), f"{worst.last[at]:.2g}"
+    own, last = _value(worst.model[at], worst.kind), _value(worst.last[at], worst.kind).split()[0]
     return f"{text} ({seconds[at]:.2g} s ahead {own}, last value {last})"
 
 
@@ -363,7 +376,8 @@ def in_words(verdict: Verdict) -> list[str]:
         if not math.isfinite(g.error):
             said = "predictions are not finite"
         elif g.covered < 0:
-            said = "worse than holding the last value"
+            better = "no better" if g.worse_from is None else "worse"
+            said = f"{better} than holding the last value"
         else:
             said = f"{100 * min(g.covered, 1.0):.0f} % of the way from the last value to {aim}"
         calm = "; the flights hardly move in it" if g.calm else ""

@@ -299,8 +299,9 @@ def fly(
         every = max(1, round(STEP / dt))
         out["trace"] = {
             "time": np.round(times[: len(path) : every], 3), "path": np.round(path[::every, :3], 4),
-            "tilt": np.round(tilt[::every], 4), "commands": np.round(given[::every], 4),
-            "nearest": np.round(nearest[::every], 4), "plans": trace.plans if trace is not None else [],
+            "attitude": np.round(path[::every, 6:10], 4), "tilt": np.round(tilt[::every], 4),
+            "commands": np.round(given[::every], 4), "nearest": np.round(nearest[::every], 4),
+            "plans": trace.plans if trace is not None else [],
         }  # fmt: skip
     found: dict[str, Any] = to_plain(out)
     return found

@@ -1,6 +1,6 @@
-"""docs/reference.md from the code: every command with every option, every public name with signature and docstring.
+"""The reference from the code: every command with every option, every public name with signature and docstring.
 
-    python -m scenarios.studies.docs_reference > docs/reference.md
+    python -m scenarios.studies.docs_reference docs
 
 Why not a documentation generator: the page must be the same on every Python that we support, or the test that it is up to
 date fails on all but one; argparse and inspect print differently from version to version.
@@ -14,16 +14,22 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from greybox import _MOVED
+from greybox.files import write_atomic
 from scenarios.studies.docs_glossary import table
 
 HEAD = """# Reference
 
-Commands and public names, each with what it takes, written by `python -m scenarios.studies.docs_reference` from the code.
+Every command with what it takes; [functions](functions.md) and [types](types.md) of Python have pages of their own. All
+three are written by `python -m scenarios.studies.docs_reference docs` from the code.
 How to go about things: [tutorial](tutorial.md), [how-to](howto.md); files and exit codes: [files.md](files.md).
 """
+NOTE = "Where no module is named it is `greybox.NAME`, imported when first used. Arrays have time first; SI units."
+FUNCTIONS = f"# Functions\n\nWhat Python code calls; what it gets back are [types](types.md). {NOTE}\n"
+TYPES = f"# Types\n\nWhat [functions](functions.md) take and give back. {NOTE}\n"
 
 MODULES = {name: module for name, module in _MOVED.items() if name != "load_model"}
 """What else is described: types that public names take and give back, and what a page uses. `greybox.load` reads all
@@ -131,22 +137,20 @@ def _summary(thing: Any) -> str:
     return _cell((_document(thing).splitlines() or [""])[0])
 
 
-def python_interface() -> str:
-    """The part about the public names of the package."""
+def public_names() -> dict[str, Any]:
+    """Public names of the package and what else is described."""
     import greybox
 
-    # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
     public = {name: getattr(greybox, name) for name in greybox.__all__}
-    public |= {name: getattr(importlib.import_module(module), name) for name, module in MODULES.items()}
+    return public | {name: getattr(importlib.import_module(module), name) for name, module in MODULES.items()}
+
+
+def described(public: dict[str, Any]) -> str:
+    """A table of names, then each with signature, docstring and members."""
+    # Titles differ in more than case, so that `Fit` and `fit` have anchors of their own.
     kinds = {name: (inspect.isclass(t) and "class ") or (inspect.ismodule(t) and "module ") for name, t in public.items()}
     titles = {name: f"{kind}{name}" if kind else f"{name}()" for name, kind in kinds.items()}
-    lines = [
-        "## Python",
-        "",
-        "Where no module is named it is `greybox.NAME`, imported when first used. Arrays have time first; SI units.",
-        "",
-    ]
-    lines += ["| name | what it is |", "|---|---|"]
+    lines = ["| name | what it is |", "|---|---|"]
     for name, thing in public.items():
         anchor = titles[name].removesuffix("()").replace(" ", "-").lower()
         module = f" (`{MODULES[name]}`)" if name in MODULES else ""
@@ -155,7 +159,7 @@ def python_interface() -> str:
         call = f"greybox.{name}" if inspect.ismodule(thing) else f"{name}{_signature(thing)}"
         if name in MODULES:
             call = f"from {MODULES[name]} import {name}\n{call}"
-        lines += ["", f"### {titles[name]}", "", "```text", call, "```", "", _document(thing)]
+        lines += ["", f"## {titles[name]}", "", "```text", call, "```", "", _document(thing)]
         inside = members(thing)
         if inside:
             lines += ["", "| member | what it does |", "|---|---|"]
@@ -166,10 +170,18 @@ def python_interface() -> str:
     return "\n".join(lines) + "\n"
 
 
-def page() -> str:
-    """The whole page."""
-    return "\n".join([HEAD, command_line(), python_interface(), table()])
+def pages() -> dict[str, str]:
+    """The pages by file name."""
+    public = public_names()
+    types = {name: thing for name, thing in public.items() if inspect.isclass(thing)}
+    functions = {name: thing for name, thing in public.items() if name not in types}
+    return {
+        "reference.md": "\n".join([HEAD, command_line(), table()]),
+        "functions.md": "\n".join([FUNCTIONS, described(functions)]),
+        "types.md": "\n".join([TYPES, described(types)]),
+    }
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    for file, text in pages().items():
+        write_atomic(Path(sys.argv[1]) / file, text)

@@ -193,6 +193,7 @@ def test_fit_then_validate_on_another_flight(
     page = (out / "report.html").read_text()
     assert "<html" in page
     assert doubt in page and doubt in capsys.readouterr().out
+    assert "How it answers to commands" in page and "p after a step of roll by" in page
     for name in ("fit", "model", "validate"):
         schema = json.loads(resources.files("greybox.schemas").joinpath(f"{name}.json").read_text())
         jsonschema.validate(json.loads((out / f"{name}.json").read_text()), schema)

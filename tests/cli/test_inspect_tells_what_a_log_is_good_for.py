@@ -157,3 +157,20 @@ def test_a_bad_mapping_file_is_one_line(
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_fit_says_before_any_work_what_inspect_says_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still = {n: 1e-3 * np.sin(v) if n in ("p", "q", "r") else v for n, v in w.channels(rows=600).items()}
+    log = str(w.write_csv(tmp_path / "stands.csv", still))
+    inspected(capsys, log, code=1)
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("greybox.commands.fit.fit_with", stopped)
+    bare = tmp_path / "V.toml"
+    bare.write_text(Path(VEHICLE).read_text().split("[columns]")[0])
+    assert main(["fit", "--vehicle", str(bare), "--train", log, "--manual", "--out", str(tmp_path / "fit")]) == 130
+    assert "stands.csv not usable: on the ground: motors run, but the gyro shows no motion" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """greybox mpc: flights of a model file, kept and resumed, a page and a schema; bad input is one line, nothing is left."""
 
+import importlib.util
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -9,6 +10,7 @@ import jsonschema
 import pytest
 
 from greybox.cli import main
+from greybox.data.readers.ros import read_ros
 from greybox.residual.files import save_model
 from mpc_export.mission import campaign, prepare
 from tests.mpc_export import cases
@@ -31,7 +33,9 @@ def flown(models, tmp_path_factory):
     out = tmp_path_factory.mktemp("flown")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prepare, "TUNING", 2)
-        assert main(["mpc", str(models / "model.json"), *COURSE, *BOOLE, "--flights", "2", "--out", str(out)]) == 0
+        recorded = ["--mcap", str(out / "flights.mcap")] if importlib.util.find_spec("mcap") else []
+        words = [str(models / "model.json"), *COURSE, *BOOLE, "--flights", "2", "--out", str(out), *recorded]
+        assert main(["mpc", *words]) == 0
     return out
 
 
@@ -66,6 +70,19 @@ def test_page_is_whole_and_runs_nothing_but_its_own_script(flown):
     data = json.loads(next(e.text for e in tree.iter("script") if e.get("id") == "flight-data"))
     assert [f["seed"] for f in data["flights"]] == [1000, 1001]
     assert data["flights"][0]["plans"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mcap") is None, reason="the extra `logs` is not installed")
+def test_a_recording_has_every_watched_flight_with_its_plans_and_crossings(flown):
+    streams = read_ros(flown / "flights.mcap").streams
+    for row in rows(flown):
+        root = f"/flight_{row['seed']}/{row['controller']}"
+        assert streams[f"{root}/margin"].fields["value.tilt"].max() == pytest.approx(row["tilt"], abs=0.02)
+        place = streams[f"{root}/pose"]
+        assert place.t[-1] == pytest.approx(row["seconds"], abs=0.03)
+        assert place.fields["pose.orientation.w"].min() < 1.0  # it tilts
+        assert (f"{root}/crossings" in streams) == bool(row["crossings"])
+    assert {"/flight_1000/tube/plan", "/flight_1001/mean/plan", "/flight_1000/tube/tf"} <= set(streams)
 
 
 def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monkeypatch, capsys):

@@ -57,6 +57,28 @@ def test_names_and_sizes(names: list[str], values: list[list[float]], expected: 
     assert all(g.fields == tuple(names) for g in found)
 
 
+IN_WORDS = {
+    "Time (ms)": 10.0 * np.arange(50), "Gyro X (deg/s)": 3.0, "Gyro Y (deg/s)": -2.0, "Gyro Z (deg/s)": 0.1,
+    "Acc X (g)": 0.02, "Acc Y (g)": -0.01, "Acc Z (g)": -1.0, "Roll [deg]": 1.0, "Pitch [deg]": 2.0, "Yaw [deg]": 3.0,
+    "North (m)": 1.0, "East (m)": 2.0, "Down (m)": -3.0, "Vel North (m/s)": 1.0, "Vel East (m/s)": 0.0,
+    "Vel Down (m/s)": 0.5, "Motor 1 (us)": 1500.0, "Motor 2 (us)": 1510.0, "Motor 3 (us)": 1490.0, "Motor 4 (us)": 1505.0,
+    "Battery (V)": 11.1,
+}  # fmt: skip
+"""Columns as a spreadsheet names them: units in brackets, z and down downwards; no size tells deg/s from rad/s here."""
+
+
+def test_units_in_names_count_before_sizes_and_a_negative_z_turns_the_frame() -> None:
+    columns = {n: np.broadcast_to(np.asarray(v, dtype=float), 50) for n, v in IN_WORDS.items()}
+    found = {g.group: (g.unit, g.frame) for g in guess_columns(columns)}
+    assert found == {
+        "command": ("", ""), "battery": ("V", ""), "attitude": ("deg", "FRD/NED"), "specific_force": ("g", "FRD"),
+        "rate": ("deg/s", "FRD"), "velocity": ("m/s", "NED"), "position": ("m", "NED"),
+    }  # fmt: skip
+    assert guess_time(columns) == ("Time (ms)", "ms")
+    weak = {**columns, "Acc Z (g)": columns["Acc Z (g)"] / 9.81}
+    assert "not gravity" in next(g.why for g in guess_columns(weak) if g.group == "specific_force")
+
+
 @pytest.mark.parametrize(("step", "unit"), [(0.002, "s"), (4.0, "ms"), (1000.0, "us"), (2e6, "ns")])
 def test_the_clock_is_told_by_its_steps(step: float, unit: str) -> None:
     columns = {"loop": np.arange(50.0), "time": step * np.arange(50.0), "t2": np.zeros(50)}

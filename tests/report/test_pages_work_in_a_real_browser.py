@@ -18,8 +18,10 @@ from greybox.report.fit_report import fit_report
 from greybox.report.identify_report import identify_report
 from greybox.report.learn_report import learn_report
 from tests.discovery.test_the_report_tells_every_verdict import content as discovery
+from tests.mpc_export.mission.test_mpc_flights_are_counted_honestly import watched_page
 from tests.report.identified import identified
 from tests.report.synthetic_fit import make_fit, make_flights, make_validation
+from tests.report.test_the_page_shows_how_outputs_follow_commands import answers
 from tests.residual.test_learn_report_says_what_was_learned import content as learned
 
 pytestmark = pytest.mark.skipif(
@@ -28,12 +30,21 @@ pytestmark = pytest.mark.skipif(
 )
 PAGES = {
     "identify": lambda: identify_report(identified(), {}, links={}, validation=make_validation()),
-    "fit": lambda: fit_report(make_fit(), make_flights(), make_validation()),
+    "fit": lambda: fit_report(make_fit(), make_flights(), make_validation(), responses=answers()),
     "discover": lambda: discover_report(discovery()),
     "learn": lambda: learn_report(learned()),
+    "mpc": watched_page,
 }
 AXE = os.environ.get("AXE_CORE")
 """axe.min.js of the package axe-core."""
+USED = """
+const key = (e, k) => e.dispatchEvent(new KeyboardEvent('keydown', {key: k, bubbles: true}));
+document.querySelectorAll('details').forEach(d => { d.open = true; });
+document.querySelectorAll('svg[data-axes]').forEach(s => { key(s, '+'); key(s, 'ArrowRight'); });
+document.querySelectorAll('input[type=range]').forEach(r => {
+  r.value = (Number(r.min) + Number(r.max)) / 2; r.dispatchEvent(new Event('input', {bubbles: true})); });
+document.querySelectorAll('.controls button').forEach(b => b.click());
+"""
 PHONE, DESKTOP = (390, 844), (1280, 900)
 
 
@@ -149,7 +160,10 @@ def test_axe_finds_nothing_serious(page: Any):
         found = page.execute_async_script("const done = arguments[0]; axe.run().then(r => done(r.violations))")
         serious = [v for v in found if v["impact"] in ("serious", "critical")]
         assert [(v["id"], v["nodes"][0]["html"][:200]) for v in serious] == []
+        # The same with everything open, curves zoomed with a cursor, sliders moved and the replay running.
+        page.execute_script(USED)
     page.execute_cdp_cmd("Page.setBypassCSP", {"enabled": False})
+    page.refresh()
 
 
 def test_the_first_screen_is_the_headline(page: Any):

@@ -14,6 +14,7 @@ from greybox.commands.chain.run import run_chain
 from greybox.errors import GreyboxError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.verdict import NOT_JUDGED, Verdict
+from greybox.progress import in_notebooks
 from greybox.residual.files import load_model
 from greybox.shown import Row, Shown
 
@@ -48,6 +49,7 @@ def _quiet(text: str) -> None:
     pass
 
 
+@in_notebooks(say="say")
 def identify(
     vehicle: str | os.PathLike[str] | None,
     logs: Iterable[str | os.PathLike[str]],

@@ -1,4 +1,4 @@
-"""ROS 1 bags, ROS 2 bags (folder, .db3, .mcap) and MCAP files with JSON, by rosbags and mcap.
+"""ROS 1 bags, ROS 2 bags (folder, .db3, .mcap) and MCAP files with JSON or protocol buffers, by rosbags and mcap.
 
 Every topic becomes a stream; nested fields get dotted names and short numeric arrays one field per entry. Stamps are
 those of the message header where it has one, else of the reception. Well-known types need no mapping file:
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.readers.protobuf import Types, decode, described
 from greybox.data.readers.recording import (
     LogFormat,
     Recording,
@@ -32,6 +33,7 @@ _SQLITE = b"SQLite format 3"
 
 _RECOVER = "copy it again; a recording that was cut off: `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
+_STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"})
 LONGEST_ARRAY = 16
 """Arrays of more entries than this (images, scans) are not read."""
 
@@ -42,9 +44,9 @@ def read_ros(path: Path) -> Recording:
     digest = checked_file(path)
     rows: dict[str, _Topic] = {}
     unread: dict[str, str] = {}
-    if not path.is_dir() and _head(path).startswith(_MCAP) and _json_only(path, where):
+    if not path.is_dir() and _head(path).startswith(_MCAP) and _plain_mcap(path, where):
         with damaged(where, "an MCAP file", fix=_RECOVER):
-            _read_json(path, where, rows)
+            _read_plain(path, where, rows)
     else:
         library("rosbags", where=where, what="a ROS bag")
         reader = library("rosbags.highlevel", where=where, what="a ROS bag")
@@ -143,9 +145,9 @@ def _leaves(value: Any, prefix: str, unread: set[str], depth: int) -> Iterator[t
         members = {k: getattr(value, k) for k in value.__dataclass_fields__ if not k.startswith("__")}
     if members is not None:
         keys = set(members)
-        if {"sec", "nanosec"} <= keys or {"secs", "nsecs"} <= keys or {"sec", "nsec"} <= keys:
-            fine = next(members[k] for k in ("nanosec", "nsecs", "nsec") if k in members)
-            coarse = members["sec"] if "sec" in members else members["secs"]
+        if any(pair <= keys for pair in _STAMPS) or keys == {"seconds", "nanos"}:
+            fine = next(members[k] for k in ("nanosec", "nsecs", "nsec", "nanos") if k in members)
+            coarse = next(members[k] for k in ("sec", "secs", "seconds") if k in members)
             if _is_number(coarse) and _is_number(fine):
                 yield prefix, float(coarse) + 1e-9 * float(fine)
             return
@@ -166,22 +168,29 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (bool, int, float, np.integer, np.floating, np.bool_))
 
 
-def _json_only(path: Path, where: str) -> bool:
-    """Whether the first channel of an MCAP file is JSON (what many companion computers write)."""
+def _plain_mcap(path: Path, where: str) -> bool:
+    """Whether an MCAP file is no bag of ROS: JSON or protocol buffers in all channels."""
     library("mcap", where=where, what="an MCAP file")
     reader = library("mcap.reader", where=where, what="an MCAP file")
     with damaged(where, "an MCAP file", fix=_RECOVER), path.open("rb") as stream:
         summary = reader.make_reader(stream).get_summary()
         channels = [] if summary is None else list(summary.channels.values())
-        return bool(channels) and all(c.message_encoding == "json" for c in channels)
+        return bool(channels) and all(c.message_encoding in ("json", "protobuf") for c in channels)
 
 
-def _read_json(path: Path, where: str, rows: dict[str, _Topic]) -> None:
+def _read_plain(path: Path, where: str, rows: dict[str, _Topic]) -> None:
     reader = library("mcap.reader", where=where, what="an MCAP file")
     with path.open("rb") as stream:
+        types: dict[int, Types] = {}
         for schema, channel, message in reader.make_reader(stream).iter_messages():
             topic = rows.setdefault(channel.topic, _Topic(schema.name if schema else "json"))
-            topic.add(message.log_time * 1e-9, json.loads(message.data))
+            if channel.message_encoding == "json":
+                content = json.loads(message.data)
+            else:
+                if schema.id not in types:
+                    types[schema.id] = described(schema.data)
+                content = decode(types[schema.id], schema.name, message.data)
+            topic.add(message.log_time * 1e-9, content)
 
 
 _XYZ = ("x", "y", "z")

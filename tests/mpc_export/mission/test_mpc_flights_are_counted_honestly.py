@@ -103,7 +103,8 @@ def test_page_without_traces_is_whole_and_escapes_names():
         assert "<b>m" not in page
 
 
-def test_animation_data_cannot_end_its_script():
+def watched_page():
+    """The page of two flights with their traces."""
     rows = [row(n, 1000) for n in ("tube", "hybrid")]
     plan = {
         "time": 0.0, "place": [[0.0, 0.0, 1.0]] * 3, "spread": [[1e-6, 0, 0, 1e-6, 0, 1e-6]] * 3,
@@ -114,7 +115,11 @@ def test_animation_data_cannot_end_its_script():
         "time": (0.02 * np.arange(50)).tolist(), "path": path, "tilt": [0.1] * 50, "commands": [[0.5] * 4] * 50,
         "nearest": [None] * 25 + [0.1] * 25, "plans": [plan, copy.deepcopy(plan) | {"time": 0.04}],
     }  # fmt: skip
-    page = mpc_report(content(rows), rows, {1000: {"tube": trace, "hybrid": trace | {"plans": []}}})
+    return mpc_report(content(rows), rows, {1000: {"tube": trace, "hybrid": trace | {"plans": []}}})
+
+
+def test_animation_data_cannot_end_its_script():
+    page = watched_page()
     tree = ET.fromstring(page[len("<!DOCTYPE html>") :])
     scripts = list(tree.iter("script"))
     assert len(scripts) == 3  # the data, the animation, the curves
