@@ -17,6 +17,7 @@ NAMES = (
     "pybullet",
     "gazebo",
     "px4",
+    "ardupilot",
     "isaac",
 )
 

@@ -16,12 +16,15 @@ from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
+from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
 
 SCHEMA = "greybox.twin/1"
+REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -123,8 +126,13 @@ def twin(
             notes.append(f"no files for {target.name}: {error.line}")
             continue
         statements.append(said)
-        texts = target.files(said.spoken)
-        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": said.text + "\n"}.items():
+        texts = dict(target.files(said.spoken))
+        lost = said.text + "\n"
+        left = rest_text(craft, said.spoken, said.simulator) if "commands.py" in texts else None
+        if left is not None:
+            texts["rest.py"] = left
+            lost += REST
+        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": lost}.items():
             files[f"{target.name}/{name}"] = text
     drawn = None if draws is None else draw(model, draws, seed)
     covered: tuple[Covered, ...] = ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from greybox.errors import UnknownNameError
 from greybox.simulators.target import Target
+from greybox.simulators.targets.ardupilot import ArduPilot
 from greybox.simulators.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
 from greybox.simulators.targets.gazebo import Gazebo
 from greybox.simulators.targets.isaac import Isaac
@@ -24,6 +25,7 @@ TARGETS: tuple[Target, ...] = (
     PyBullet(),
     Gazebo(),
     PX4(),
+    ArduPilot(),
     Isaac(),
 )
 
