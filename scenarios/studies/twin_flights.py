@@ -31,7 +31,7 @@ from greybox.simulators.make import twin
 from greybox.symbolic import FloatArray
 from greybox.validation.adapt import adapt_to_flight
 from scenarios.foreign.plant import MissingSimulator
-from scenarios.foreign.written_twin import FLYERS, SHIPPED, Start, load
+from scenarios.twins.written import FLYERS, SHIPPED, Start, load
 
 SPACING, ADAPT, SECONDS = 1.0, 5.0, 0.5
 HORIZONS = (0.1, 0.5)

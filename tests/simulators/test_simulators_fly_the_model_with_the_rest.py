@@ -16,7 +16,7 @@ from greybox.simulators.size import fly
 from greybox.simulators.statement import agreement
 from greybox.simulators.words import Status
 from scenarios.foreign.plant import MissingSimulator
-from scenarios.foreign.written_twin import FLYERS, Start
+from scenarios.twins.written import FLYERS, Start
 from tests.simulators.identified import AERODYNAMICS, START, Array, identified, manoeuvre
 
 GRAVITY = {"pybullet": 9.8}
