@@ -14,6 +14,7 @@ import numpy as np
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import drag_of, fold_drag
+from greybox.simulators.sensor_text import coloured_parts
 from greybox.simulators.words import Word, Wording, quadratic_maps
 from greybox.symbolic import FloatArray
 
@@ -33,8 +34,10 @@ drag: {drag}  # N s/m, body axes
 imu:
   gyroscope:
     noise_density: {gyro}  # rad/s/sqrt(Hz)
+    random_walk: {gyro_walk}  # rad/s after one second, over sqrt(s)
   accelerometer:
     noise_density: {accelerometer}  # m/s^2/sqrt(Hz)
+    random_walk: {accelerometer_walk}
 """
 _USD = """#usda 1.0
 (
@@ -108,6 +111,10 @@ class Isaac:
             drag=drag_of(craft).tolist(),
             gyro=repr(gyro),
             accelerometer=repr(accelerometer),
+            **{
+                f"{s}_walk": repr(float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0)))
+                for s in ("gyro", "accelerometer")
+            },
         )
         usd = _USD.format(
             name=craft.name,
