@@ -114,9 +114,11 @@ class Draws:
 
 
 def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
-    """`count` craft. Raises `DataError` for no number of draws, `ModelError` as `Craft.of`."""
+    """`count` craft. Raises `DataError` for no number of draws or a negative seed, `ModelError` as `Craft.of`."""
     if not 1 <= count <= MOST_DRAWS:
         raise DataError("number of draws", expected=f"1 .. {MOST_DRAWS}", got=str(count))
+    if seed < 0:
+        raise DataError("seed of the draws", expected="a whole number from 0", got=str(seed))
     craft = Craft.of(model)
     declared = {d.name: d for d in model.dynamics.parameters}
     names = tuple(declared)

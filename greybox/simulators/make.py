@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data import Dataset
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import DataError, ModelError
 from greybox.files import OutputError, dump_json, write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
@@ -106,13 +106,14 @@ def twin(
     `draws`: also so many craft as uncertain as the fit left them, from `seed`; `check`: flights
     that no fit saw, on which their band is counted.
 
-    Raises `UnknownNameError` for a target, `ModelError` for a model that is no vehicle's, that no
-    body is like, or whose rotors a named target cannot express, `OutputError` for files that exist.
+    Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
+    model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
+    `OutputError` for files that exist.
     """
     craft = Craft.of(model)
     names = tuple(targets) or tuple(t.name for t in TARGETS)
     if double := sorted({n for n in names if names.count(n) > 1}):
-        raise UnknownNameError("second target", double[0], [t.name for t in TARGETS])
+        raise DataError(f"target {double[0]} twice", fix="name every target once")
     sensors = sensor_text(craft, model.flight_spread)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
