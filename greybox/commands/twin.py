@@ -19,6 +19,7 @@ NAMES = (
     "px4",
     "ardupilot",
     "isaac",
+    "jsbsim",
 )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import re
 import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
@@ -325,7 +326,88 @@ def fly_pybullet(
         bullet.disconnect(client)
 
 
+def fly_jsbsim(
+    folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
+    *, rest: bool = False,
+) -> FloatArray:  # fmt: skip
+    """JSBSim with the written aircraft on the planet that stands still; world ENU at the equator's longitude 0."""
+    try:
+        import jsbsim
+    except ImportError as missing:
+        raise MissingSimulator("jsbsim") from missing
+    if rest:
+        raise ValueError("JSBSim takes no further wrench here")
+    (commands,) = load(folder, "commands")
+    (path,) = (folder / "aircraft").glob("*/*.xml")
+    sim, foot = jsbsim.FGFDMExec(str(folder)), 0.3048
+    sim.set_debug_level(0)
+    sim.load_planet(str(folder / "planet.xml"), False)
+    step = 1e-4  # filters keep the step that the model was loaded with
+    sim.set_dt(step)
+    sim.load_model(path.stem)
+    flip, swap = np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+    turn = swap @ rotation(start.attitude) @ flip  # FRD to NED
+    v = flip @ rotation(start.attitude).T @ start.velocity / foot
+    p, q, r = flip @ start.rate
+    for name, value in {
+        "ic/h-sl-ft": 1000.0, "ic/lat-gc-deg": 0.0, "ic/long-gc-deg": 0.0,
+        "ic/phi-rad": math.atan2(turn[2, 1], turn[2, 2]), "ic/theta-rad": -math.asin(turn[2, 0]),
+        "ic/psi-true-rad": math.atan2(turn[1, 0], turn[0, 0]), "ic/u-fps": v[0], "ic/v-fps": v[1], "ic/w-fps": v[2],
+        "ic/p-rad_sec": p, "ic/q-rad_sec": q, "ic/r-rad_sec": r,
+    }.items():  # fmt: skip
+        sim[name] = float(value)
+    for i, nu in enumerate(start.rotors, 1):
+        sim[f"fcs/nu-cmd{i}"] = float(nu)
+    sim.run_ic()
+    for axis, speed in re.findall(r"wind-(\w+)-fps (-?[\d.e+-]*\d)", path.read_text()):
+        sim[f"atmosphere/wind-{axis}-fps"] = float(speed)
+    sim.suspend_integration()  # filters run up to the speeds that the rotors start with
+    tau = 1.0 / float(re.findall(r"<c1>(.*?)</c1>", path.read_text())[0])
+    for _ in range(math.ceil(20.0 * tau / step)):
+        sim.run()
+    sim.resume_integration()
+    sim.set_dt(step)
+    position, rows = start.position.copy(), []
+
+    def motion() -> tuple[FloatArray, FloatArray]:
+        w = np.array([sim[f"velocities/v-{a}-fps"] for a in ("north", "east", "down")]) * foot
+        return swap.T @ w, np.array([sim[f"velocities/{a}-rad_sec"] for a in "pqr"])
+
+    last, _ = motion()
+    for pieces in _arriving(commands, u, before, dt, voltage):
+        for seconds, nu in pieces:
+            count = round(seconds / step)
+            for i, value in enumerate(nu, 1):
+                sim[f"fcs/nu-cmd{i}"] = float(value)
+            for _ in range(count):
+                sim.run()
+                now, _ = motion()
+                position = position + step * 0.5 * (last + now)
+                last = now
+        velocity, rate = motion()
+        phi, theta, psi = (sim[f"attitude/{a}-rad"] for a in ("phi", "theta", "psi"))
+        body = swap.T @ _euler(phi, theta, psi) @ flip
+        speeds = [sim[f"fcs/nu{i}"] for i in range(1, u.shape[1] + 1)]
+        rows.append(np.concatenate([position, velocity, _quaternion(body), flip @ rate, speeds]))
+    return np.array(rows)
+
+
+def _euler(phi: float, theta: float, psi: float) -> FloatArray:
+    c, s = np.cos([phi, theta, psi]), np.sin([phi, theta, psi])
+    x = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+    y = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]])
+    z = np.array([[c[2], -s[2], 0], [s[2], c[2], 0], [0, 0, 1]])
+    return np.asarray(z @ y @ x)
+
+
+def _quaternion(m: FloatArray) -> FloatArray:
+    """(w, x, y, z) of a rotation that turns by less than half a turn."""
+    w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(m))))
+    return np.array([w, *(np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]) / (4 * w))])
+
+
 FLYERS: Mapping[str, Flyer] = {
+    "jsbsim": fly_jsbsim,
     "rotorpy": fly_rotorpy,
     "mujoco": fly_mujoco,
     "drone-models": fly_drone_models,

@@ -1,5 +1,5 @@
-"""PyBullet, given the written URDF, is within 1 % of what its statement says over half a second; and
-with the force and moment of rest.py every simulator is within 1 % of the whole model."""
+"""PyBullet and JSBSim, given the written files, are within 1 % of what their statements say over half
+a second; and with the force and moment of rest.py every simulator is within 1 % of the whole model."""
 
 from __future__ import annotations
 
@@ -42,29 +42,36 @@ def flown(target: str, folder: Path, hover: float, u: Array, *, rest: bool) -> A
     return states[:, :13].T
 
 
-def test_pybullet_flies_what_it_says_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("target", ["pybullet", "jsbsim"])
+def test_what_it_says_whole_flies_alike(target: str, tmp_path: Path) -> None:
     says = ("motor_lag", "rotor_asymmetry", "center_of", "products", "payload", "command", "thrust")
     said = {k: v for k, v in AERODYNAMICS.items() if k.startswith(says)}
     said |= {"products_of_inertia.Jxy": 2e-3}
+    if target == "jsbsim":
+        said |= {"rotational_damping.d_p": 0.02}
     model = identified(said, gravity=9.8)
-    (statement,) = twin(model, ["pybullet"], out=tmp_path).statements
+    (statement,) = twin(model, [target], out=tmp_path).statements
     assert {r.word.status for r in statement.rows} == {Status.SAID}
     u = manoeuvre(statement.spoken.hover_nu)
-    theirs = flown("pybullet", tmp_path, statement.spoken.hover_nu, u, rest=False)
+    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
     apart = agreement(fly(Craft.of(model), START, u, 0.01)[:13], theirs)
     assert max(apart.values()) < 0.01, apart
 
 
-def test_pybullet_folds_as_its_statement_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("target", ["pybullet", "jsbsim"])
+def test_what_it_folds_flies_as_the_statement_says(target: str, tmp_path: Path) -> None:
     model = identified(NOT_SAID, gravity=9.8)
-    (statement,) = twin(model, ["pybullet"], out=tmp_path).statements
+    (statement,) = twin(model, [target], out=tmp_path).statements
     u = manoeuvre(statement.spoken.hover_nu)
-    theirs = flown("pybullet", tmp_path, statement.spoken.hover_nu, u, rest=False)
+    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
     apart = agreement(fly(statement.spoken, START, u, 0.01)[:13], theirs)
     assert max(apart.values()) < 0.01, apart
 
 
-@pytest.mark.parametrize("target", ["rotorpy", "drone-models", "crazyflow", "pybullet"])
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param("rotorpy", marks=pytest.mark.slow), "drone-models", "crazyflow", "pybullet"],
+)
 def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Path) -> None:
     model = identified(NOT_SAID, gravity=GRAVITY.get(target, 9.80665))
     (statement,) = twin(model, [target], out=tmp_path).statements

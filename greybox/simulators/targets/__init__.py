@@ -9,6 +9,7 @@ from greybox.simulators.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
 from greybox.simulators.targets.gazebo import Gazebo
 from greybox.simulators.targets.isaac import Isaac
 from greybox.simulators.targets.jax_module import JaxModule
+from greybox.simulators.targets.jsbsim import JSBSim
 from greybox.simulators.targets.mujoco import MuJoCo
 from greybox.simulators.targets.numpy_module import NumPyModule
 from greybox.simulators.targets.px4 import PX4
@@ -27,6 +28,7 @@ TARGETS: tuple[Target, ...] = (
     PX4(),
     ArduPilot(),
     Isaac(),
+    JSBSim(),
 )
 
 

@@ -64,9 +64,7 @@ class AxisDrag(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """c [N s^2/m^2]."""
-        return (
-            Parameter(name="c", unit="N s^2/m^2", nominal=0.0, null=0.0, meaning="drag coefficient"),
-        )
+        return (Parameter(name="c", unit="N s^2/m^2", nominal=0.0, null=0.0, meaning="drag coefficient"),)
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Force through the centre of mass."""
@@ -84,10 +82,7 @@ class NotGyroscopic(Effect):
 
     def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
         """Jx, Jy, Jz [kg m^2]."""
-        return tuple(
-            Parameter(name=f"J{a}", unit="kg m^2", nominal=0.0, null=0.0, meaning="moment")
-            for a in "xyz"
-        )
+        return tuple(Parameter(name=f"J{a}", unit="kg m^2", nominal=0.0, null=0.0, meaning="moment") for a in "xyz")
 
     def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
         """Moment about the centre of mass."""
@@ -158,10 +153,7 @@ class ArduPilot:
             "rotational_damping",
             "refRotRate: one angular acceleration per rad/s for all axes",
             Change(
-                values={
-                    f"rotational_damping.d_{a}": rate * float(craft.inertia[i, i])
-                    for i, a in enumerate("pqr")
-                }
+                values={f"rotational_damping.d_{a}": rate * float(craft.inertia[i, i]) for i, a in enumerate("pqr")}
             ),
         )
         w.said("steady_wind", "SIM_WIND_SPD, SIM_WIND_DIR, SIM_WIND_DIR_Z")
@@ -174,10 +166,7 @@ class ArduPilot:
                 how="SITL divides torque by moment of inertia",
                 change=Change(
                     instead=(NotGyroscopic(),),
-                    values={
-                        f"not_gyroscopic.J{a}": float(craft.inertia[i, i])
-                        for i, a in enumerate("xyz")
-                    },
+                    values={f"not_gyroscopic.J{a}": float(craft.inertia[i, i]) for i, a in enumerate("xyz")},
                 ),
             )
         )
