@@ -17,7 +17,9 @@ NAMES = (
     "pybullet",
     "gazebo",
     "px4",
+    "ardupilot",
     "isaac",
+    "jsbsim",
 )
 
 
@@ -95,6 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
             "MODEL and --out are needed", expected="MODEL --out DIR, or --compare OLD NEW"
         )
     names = tuple(n.strip() for n in arguments.target.split(",") if n.strip())
+    if arguments.target and not names:
+        raise DataError(f"--target {arguments.target!r} names none", expected=", ".join(NAMES))
     for name in names:
         if name not in NAMES:
             raise UnknownNameError("target", name, NAMES)
@@ -124,17 +128,25 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
-    """A model of a vehicle, or None where it was judged not usable (which is said)."""
+    """A model of a vehicle, or None where it was judged not usable, or a vehicle file is of no
+    craft that flies (which is said)."""
     from greybox.commands.judgement import gate
     from greybox.files import read_json
     from greybox.model.effects_file import load_effects
+    from greybox.model.plausibility import vehicle_findings
     from greybox.model.vehicle import read_vehicle
     from greybox.residual.files import load_model
     from greybox.simulators.data_sheet import model_of
 
     if path.endswith(".toml"):
+        vehicle = read_vehicle(path)
+        wrong = [f for f in vehicle_findings(vehicle) if f.severity == "blocking"]
+        if wrong and not even_so:
+            line = f"{path}: {wrong[0].line()}. To go on all the same: --even-so"
+            print(f"greybox twin: {line}", file=sys.stderr)
+            return None
         print(f"greybox twin: {path}: a data sheet; no flight was fitted", file=sys.stderr)
-        return model_of(read_vehicle(path))
+        return model_of(vehicle)
     own = [e for file in effects_files for e in load_effects(file)]
     model = load_model(path, effects=own)
     judged = gate(read_json(path), path, even_so=even_so)

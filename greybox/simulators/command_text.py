@@ -105,7 +105,8 @@ def command_text(craft: Craft) -> str:
         u_min=actuator.u_min,
         u_max=actuator.u_max,
         curve=craft.get("thrust_curve.f"),
-        gain=craft.get("battery_sag.c_V"),
+        # simulators lose the battery, so that the craft as they say it has none
+        gain=float(craft.source.values.get("battery_sag.c_V", 0.0)),
         nominal=craft.nominal_voltage,
         speed=craft.speed_max,
         unknown="" if craft.speed_known else ", counted so: the vehicle file has no speed_max",

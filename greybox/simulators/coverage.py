@@ -2,8 +2,11 @@
 
 From instants of flights that no fit saw, all draws fly on under the recorded commands, in the very
 module that is written (simulate.py): own parameters, own pushes, own sensor noise, started from the
-filter's state within its covariance. The band holds the central 95 % of them. Beside it stands the
-customary box: every parameter of the craft evenly within 30 % of its value, and no pushes.
+filter's state within its covariance. The band holds the central 95 % of them: once for a new flight,
+whose own parameters are drawn from the spread between flights, and once after its first seconds,
+which these were adapted on. Beside it stand the customary box, every parameter of the craft evenly
+within 30 % of its value and no pushes, and the width that would hold 95 % of the real values about
+the middle of ours: no band is honest below it.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from greybox.model.noise import disturbances, gauss_markov
 from greybox.simulators.draws import Draws
 from greybox.simulators.targets.numpy_module import NumPyModule
 from greybox.symbolic import FloatArray
-from greybox.validation.adapt import adapt_to_flight
+from greybox.validation.adapt import Adaptation, adapt_to_flight
 
 IntArray = npt.NDArray[np.int64]
 HORIZONS = (0.1, 0.5, 1.0)
@@ -32,6 +35,9 @@ HORIZONS = (0.1, 0.5, 1.0)
 LEVEL, BOX = 0.95, 0.3
 SPACING, START = 2.0, 5.0
 """Seconds between the instants from which simulations start, and before the first of them."""
+_Sums = dict[tuple[str, float], list[FloatArray]]
+"""(group, horizon) -> inside and width of the band, inside and width of the box, distance of the
+real value from the middle of the band; one number per instant and axis."""
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "position": ("x", "y", "z"),
     "velocity": ("vx", "vy", "vz"),
@@ -44,8 +50,11 @@ UNITS = {"position": "m", "velocity": "m/s", "rotation": "rad", "rate": "rad/s"}
 @dataclass(frozen=True, kw_only=True)
 class Covered:
     """One group at one horizon [s]: share of real values inside the band, of `count` (instants
-    times axes); mean width of the band and of that of the box, in the group's unit."""
+    times axes); mean width of the band and of that of the box, in the group's unit; `needed`: the
+    width that holds 95 % of the real values about the band's middle. `adapted`: whether the
+    flight's own parameters were adapted on its first seconds."""
 
+    adapted: bool
     group: str
     seconds: float
     share: float
@@ -53,6 +62,7 @@ class Covered:
     width: float
     box_width: float
     box_share: float
+    needed: float
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -62,13 +72,19 @@ class Covered:
 def format_table(rows: tuple[Covered, ...]) -> str:
     """For people."""
     lines = [f"95 % band of simulated flights, real values inside it; box: +-{100 * BOX:.0f} %"]
-    lines.append("  group     ahead   inside    of   width       box inside  box width   box/band")
-    for r in rows:
-        lines.append(
-            f"  {r.group:9} {r.seconds:4g} s {100 * r.share:6.1f} % {r.count:5d}"
-            f"   {r.width:<9.3g} {UNITS[r.group]:6}{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}"
-            f"  {r.box_width / r.width:.1f}"
-        )
+    for adapted in (False, True):
+        own = [r for r in rows if r.adapted is adapted]
+        if not own:
+            continue
+        what = f"after its first {START:g} s" if adapted else "a new flight"
+        head = "   ahead   inside    of   width     needed          box inside  box width   box/band"
+        lines.append(f"  {what:20}{head}")
+        for r in own:
+            lines.append(
+                f"  {r.group:20} {r.seconds:4g} s {100 * r.share:6.1f} % {r.count:5d}"
+                f"   {r.width:<9.3g} {r.needed:<9.3g} {UNITS[r.group]:6}"
+                f"{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}  {r.box_width / r.width:.1f}"
+            )
     return "\n".join(lines)
 
 
@@ -87,17 +103,36 @@ def coverage(
             fix="check on a model that was fitted with motion capture",
         )
     box = _box(draws, seed)
-    sums: dict[tuple[str, float], list[FloatArray]] = {}
+    new: _Sums = {}
+    known: _Sums = {}
     for flight in flights:
-        for starts in _starts(model, flight):
-            _simulate(model, module, draws.values, starts, seed, True, sums, 0)
-            _simulate(model, module, box, starts, seed, False, sums, 1)
-    if not sums:
+        found, adapted = _starts(model, flight)
+        own = _adapted(draws, adapted, seed)
+        for starts in found:
+            _simulate(model, module, draws.values, starts, seed, True, new, 0)
+            _simulate(model, module, box, starts, seed, False, new, 1)
+            if own is not None:
+                _simulate(model, module, own, starts, seed, True, known, 0)
+                _simulate(model, module, _box(draws, seed, own), starts, seed, False, known, 1)
+    if not new:
         raise DataError(
             "no flight is long enough to check",
             expected=f"more than {START + max(HORIZONS):g} s in one piece",
         )
-    return _rows(sums)
+    return _rows(new, False) + _rows(known, True)
+
+
+def _adapted(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatArray | None:
+    """The draws with the flight's own parameters as its first seconds left them."""
+    if adapted is None:
+        return None
+    random = np.random.default_rng([seed, 3])
+    values = draws.values.copy()
+    for k, name in enumerate(draws.names):
+        if name in adapted.values:
+            sigma = adapted.std.get(name, 0.0)
+            values[:, k] = adapted.values[name] + sigma * random.standard_normal(len(draws))
+    return np.asarray(values)
 
 
 def _module(draws: Draws) -> dict[str, Any]:
@@ -107,13 +142,15 @@ def _module(draws: Draws) -> dict[str, Any]:
     return space
 
 
-def _box(draws: Draws, seed: int) -> FloatArray:
-    """As many craft from the customary box: what the body has, not what its sensors have."""
+def _box(draws: Draws, seed: int, about: FloatArray | None = None) -> FloatArray:
+    """As many craft from the customary box about the model, or about the mean of `about`: what the
+    body has, not what its sensors have."""
     random = np.random.default_rng([seed, 1])
     physics = draws.craft.physics
     sensors = {e.name for e in physics.effects if e.stage == "sensor"}
     own = set(draws.craft.values)
-    values = np.tile([draws.craft.source.values[n] for n in draws.names], (len(draws), 1))
+    centre = [draws.craft.source.values[n] for n in draws.names]
+    values = np.tile(centre if about is None else about.mean(axis=0), (len(draws), 1))
     for k, name in enumerate(draws.names):
         if name in own and name.split(".")[0] not in sensors:
             values[:, k] *= 1.0 + BOX * random.uniform(-1.0, 1.0, len(draws))
@@ -130,13 +167,14 @@ class _Start:
     spread: FloatArray
 
 
-def _starts(model: IdentifiedModel, flight: Flight) -> list[_Start]:
-    """Where simulations of a flight begin. Per-flight parameters of the filter are adapted on the
-    first seconds, as for any new flight; those of the draws are not."""
+def _starts(model: IdentifiedModel, flight: Flight) -> tuple[list[_Start], Adaptation | None]:
+    """Where simulations of a flight begin, and what its first seconds said of its own parameters:
+    the filter has these, as for any new flight."""
     filter_ = Filter(model)
-    values: Mapping[str, float] = {}
+    adapted: Adaptation | None = None
     if model.flight_spread and flight.duration > 3.0 * START:
-        values = adapt_to_flight(model, flight, START, riccati=filter_.riccati).values
+        adapted = adapt_to_flight(model, flight, START, riccati=filter_.riccati)
+    values = {} if adapted is None else adapted.values
     out = []
     for segment in flight.segments:
         run = filter_.run(segment, model.parameter_vector(values))
@@ -147,7 +185,7 @@ def _starts(model: IdentifiedModel, flight: Flight) -> list[_Start]:
             out.append(
                 _Start(segment=segment, filtered=run, rows=rows, spread=run.state_covariance)
             )
-    return out
+    return out, adapted
 
 
 def _simulate(
@@ -157,7 +195,7 @@ def _simulate(
     start: _Start,
     seed: int,
     pushed: bool,
-    sums: dict[tuple[str, float], list[FloatArray]],
+    sums: _Sums,
     which: int,
 ) -> None:
     """Fly all draws from all instants, and keep what lies inside and how wide it is."""
@@ -254,7 +292,7 @@ def _noise(
 
 
 def _keep(
-    sums: dict[tuple[str, float], list[FloatArray]],
+    sums: _Sums,
     group: str,
     seconds: float,
     seen: FloatArray,
@@ -269,14 +307,18 @@ def _keep(
     low, high = np.quantile(off, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=1)
     good = np.isfinite(away)
     inside = ((away >= low) & (away <= high))[good]
-    entry = sums.setdefault((group, seconds), [np.zeros(0)] * 4)
+    entry = sums.setdefault((group, seconds), [np.zeros(0)] * 5)
+    if which == 0:
+        entry[4] = np.concatenate([entry[4], np.abs(away[good])])
     entry[2 * which] = np.concatenate([entry[2 * which], inside.astype(float)])
     entry[2 * which + 1] = np.concatenate([entry[2 * which + 1], (high - low)[good]])
 
 
-def _rows(sums: Mapping[tuple[str, float], list[FloatArray]]) -> tuple[Covered, ...]:
+def _rows(sums: _Sums, adapted: bool) -> tuple[Covered, ...]:
     return tuple(
         Covered(
+            adapted=adapted,
+            needed=2.0 * float(np.quantile(e[4], LEVEL)),
             group=g,
             seconds=h,
             share=float(e[0].mean()),

@@ -85,7 +85,8 @@ class Craft:
             raise ModelError(
                 f"no body has the principal moments of inertia {said} kg m^2",
                 expected="positive, the largest at most the sum of the other two",
-                fix="fit again with a sigma on the inertia, or hold it",
+                fix='fit again with schema = "greybox.vehicle/2" in the vehicle file, which keeps '
+                "inertia to what a body can have",
             )
 
     # ---------------------------------------------------------------- names

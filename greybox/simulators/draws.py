@@ -27,7 +27,9 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import linear_drag
+from greybox.simulators.principal_axes import principal_axes
 from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
+from greybox.simulators.targets.mujoco import tangent, yaw_ratio
 from greybox.symbolic import BoolArray, FloatArray
 
 MOMENTS = ("inertia.xx", "inertia.yy", "inertia.zz")
@@ -63,14 +65,18 @@ class Draws:
         return replace(self.craft, values=own)
 
     def files(self) -> dict[str, str | bytes]:
-        """draws.npz (everything, for simulate.py) and ranges.toml; for a craft with even rotors and
-        no gyroscopic torque also crazyflow.npz, the same draws under that simulator's names."""
+        """draws.npz (everything, for simulate.py) and ranges.toml; the same draws under the names
+        of other simulators: mjx.npz (fields of MuJoCo's model), isaac.npz (arguments of rigid body
+        views, and of Pegasus), and for a craft with even rotors and no gyroscopic torque
+        crazyflow.npz."""
         every = [self.one(i) for i in range(len(self))]
         files: dict[str, str | bytes] = {
             "draws/draws.npz": _npz({"names": np.array(self.names), "values": self.values}),
             "draws/ranges.toml": self.ranges(),
         }
         even = not any(n.startswith(("rotor_asymmetry.", "rotor_gyroscopic.")) for n in self.names)
+        files["draws/mjx.npz"] = _npz(_mjx(every))
+        files["draws/isaac.npz"] = _npz(_isaac(every))
         if even:
             files["draws/crazyflow.npz"] = _npz(_crazyflow(every))
         return files
@@ -108,9 +114,11 @@ class Draws:
 
 
 def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
-    """`count` craft. Raises `DataError` for no number of draws, `ModelError` as `Craft.of`."""
+    """`count` craft. Raises `DataError` for no number of draws or a negative seed, `ModelError` as `Craft.of`."""
     if not 1 <= count <= MOST_DRAWS:
         raise DataError("number of draws", expected=f"1 .. {MOST_DRAWS}", got=str(count))
+    if seed < 0:
+        raise DataError("seed of the draws", expected="a whole number from 0", got=str(seed))
     craft = Craft.of(model)
     declared = {d.name: d for d in model.dynamics.parameters}
     names = tuple(declared)
@@ -182,6 +190,59 @@ def _npz(arrays: Mapping[str, FloatArray]) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
+
+
+def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
+    """Fields of MjModel, one row per craft, for `model.replace(**fields)` under vmap: the world and
+    the craft are bodies 0 and 1. Without callback.py, as MJX flies."""
+    n = every[0].count
+    axes = [principal_axes(c.inertia) for c in every]
+    slope, offset, largest = (np.array(v) for v in zip(*(tangent(c) for c in every), strict=True))
+    lag = np.array([max(c.get("motor_lag.tau"), SHORTEST_LAG) for c in every])
+
+    def numbers(*first: FloatArray, size: int = 10) -> FloatArray:
+        """(draws, n, size): the first numbers (draws,) or (draws, n), the rest zero."""
+        out = np.zeros((len(every), n, size))
+        for k, value in enumerate(first):
+            out[..., k] = value if value.ndim == 2 else value[:, None]
+        return out
+
+    def bodies(value: FloatArray, world: FloatArray) -> FloatArray:
+        return np.stack([np.broadcast_to(world, value.shape), value], axis=1)
+
+    mass = np.array([c.mass for c in every])
+    ratio = np.array([yaw_ratio(c) for c in every])
+    one, zero = np.ones(len(every)), np.zeros(len(every))
+    return {
+        "body_mass": bodies(mass, np.zeros(1)),
+        "body_subtreemass": bodies(mass, mass),
+        "body_ipos": bodies(np.array([c.center_of_mass for c in every]), np.zeros(3)),
+        "body_inertia": bodies(np.array([m for m, _ in axes]), np.zeros(3)),
+        "body_iquat": bodies(np.array([q for _, q in axes]), np.array([1.0, 0.0, 0.0, 0.0])),
+        "actuator_gear": numbers(zero, zero, one, zero, zero, ratio, size=6),
+        "actuator_dynprm": numbers(lag),
+        "actuator_gainprm": numbers(slope),
+        "actuator_biasprm": numbers(offset),
+        "actuator_forcerange": numbers(zero, largest, size=2),
+    }
+
+
+def _isaac(every: list[Craft]) -> dict[str, FloatArray]:
+    """Masses (n, 1), inertia about the centre of mass in body axes (n, 9), centre of mass from the
+    body's origin (n, 3) with the axes of the body (w, x, y, z); and Pegasus' thrust curve and
+    linear drag."""
+    first = every[0]
+    square = 1.0 / first.speed_max**2
+    strength = np.array([c.strength for c in every])
+    return {
+        "masses": np.array([[c.mass] for c in every]),
+        "inertias": np.array([c.inertia.ravel() for c in every]),
+        "com_positions": np.array([c.center_of_mass for c in every]),
+        "com_orientations": np.tile([1.0, 0.0, 0.0, 0.0], (len(every), 1)),
+        "rotor_constant": np.array([[c.thrust[2]] for c in every]) * square * strength,
+        "rolling_moment_coefficient": np.array([[c.torque[2]] for c in every]) * square * strength,
+        "drag": np.array([linear_drag(c) for c in every]),
+    }
 
 
 def _crazyflow(every: list[Craft]) -> dict[str, FloatArray]:

@@ -17,8 +17,11 @@ Place = tuple[int, int, int]
 """Sign of x and of y of a hub, and spin."""
 
 
-def order_in(craft: Craft, places: Sequence[Place], simulator: str) -> tuple[int, ...]:
-    """Which of the craft's rotors (from 0) stands at each of the simulator's `places`.
+def order_in(
+    craft: Craft, places: Sequence[Place], simulator: str, *, arms: bool = True
+) -> tuple[int, ...]:
+    """Which of the craft's rotors (from 0) stands at each of the simulator's `places`; `arms`:
+    whether these have to be symmetric.
 
     Raises `ModelError` for another number of rotors, another pattern of spins, or arms that are not
     symmetric about the centre of the hubs.
@@ -36,7 +39,8 @@ def order_in(craft: Craft, places: Sequence[Place], simulator: str) -> tuple[int
     ]
     for order in itertools.permutations(range(craft.count)):
         if [rotors[i] for i in order] == list(places):
-            _check_arms(hubs, tolerance, simulator)
+            if arms:
+                _check_arms(hubs, tolerance, simulator)
             return order
     raise ModelError(
         f"{simulator} cannot express the rotors of {craft.title}",

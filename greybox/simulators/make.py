@@ -9,19 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data import Dataset
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import DataError, ModelError
 from greybox.files import OutputError, dump_json, write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
+from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
 from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
 
 SCHEMA = "greybox.twin/1"
+REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -103,13 +106,14 @@ def twin(
     `draws`: also so many craft as uncertain as the fit left them, from `seed`; `check`: flights
     that no fit saw, on which their band is counted.
 
-    Raises `UnknownNameError` for a target, `ModelError` for a model that is no vehicle's, that no
-    body is like, or whose rotors a named target cannot express, `OutputError` for files that exist.
+    Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
+    model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
+    `OutputError` for files that exist.
     """
     craft = Craft.of(model)
     names = tuple(targets) or tuple(t.name for t in TARGETS)
     if double := sorted({n for n in names if names.count(n) > 1}):
-        raise UnknownNameError("second target", double[0], [t.name for t in TARGETS])
+        raise DataError(f"target {double[0]} twice", fix="name every target once")
     sensors = sensor_text(craft, model.flight_spread)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
@@ -123,8 +127,13 @@ def twin(
             notes.append(f"no files for {target.name}: {error.line}")
             continue
         statements.append(said)
-        texts = target.files(said.spoken)
-        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": said.text + "\n"}.items():
+        texts = dict(target.files(said.spoken))
+        lost = said.text + "\n"
+        left = rest_text(craft, said.spoken, said.simulator) if "commands.py" in texts else None
+        if left is not None:
+            texts["rest.py"] = left
+            lost += REST
+        for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": lost}.items():
             files[f"{target.name}/{name}"] = text
     drawn = None if draws is None else draw(model, draws, seed)
     covered: tuple[Covered, ...] = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from greybox.model.noise import sensor_parts
 from greybox.simulators.craft import Craft
 
 GROUPS: Mapping[str, tuple[tuple[str, ...], str]] = {
@@ -17,6 +18,15 @@ GROUPS: Mapping[str, tuple[tuple[str, ...], str]] = {
 """Sensor -> its innovation channels and their unit."""
 
 
+_MEANS = {
+    "coloured": ", T in s: first-order Gauss-Markov",
+    "line": ", T in s, frequency in Hz: narrow band",
+    "drift": " after one second: random walk",
+    "low_pass": " of white noise in front of the filter, T in s, cutoff in Hz",
+    "delay": ", as the filter of the model has it",
+}
+
+
 def density(craft: Craft, sensor: str) -> float | None:
     """White noise as a density, unit/sqrt(Hz): the mean over the axes of sigma sqrt(dt)."""
     sigma = craft.noise(GROUPS[sensor][0])
@@ -25,9 +35,26 @@ def density(craft: Craft, sensor: str) -> float | None:
     return float(math.sqrt((sigma**2).mean()) * math.sqrt(craft.sample_time))
 
 
+def coloured_parts(craft: Craft, sensor: str) -> dict[str, dict[str, float]]:
+    """Kind of a sensor's noise that is correlated in time -> its numbers: coloured and line (sigma,
+    T [s], frequency [Hz]), drift (sigma after a second), low_pass (T, cutoff [Hz], sigma in front).
+    Sigmas are root mean squares over the axes, in the sensor's unit."""
+    model = craft.source
+    level = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    found = {}
+    for part in sensor_parts(model.dynamics):
+        if part.sensor == sensor:
+            own = [v for n, v in level.items() if n.startswith(f"{part.name}.{part.copies[0]}.")]
+            size = math.sqrt(sum(v * v for v in own) / max(1, len(own)))
+            numbers = part.described(size, model.values, model.sample_time)
+            found[part.kind] = {k: float(v) for k, v in numbers.items()}
+    return found
+
+
 def sensor_text(craft: Craft, spread: Mapping[str, tuple[float, float]]) -> str:
     """The file: per sensor white noise per sample and as a density, bias with its spread from
-    flight to flight, scale, misalignment and delay of the model's sensor effects."""
+    flight to flight, scale, misalignment and delay of the model's sensor effects, and noise that is
+    correlated in time."""
     lines = [
         f"# Sensors of {craft.name}, as identified. Standard deviations; body axes FLU, world ENU.",
         f"sample_time = {craft.sample_time!r}  # s",
@@ -40,6 +67,9 @@ def sensor_text(craft: Craft, spread: Mapping[str, tuple[float, float]]) -> str:
         lines.append(f"white = {[float(v) for v in sigma]}  # {unit}, per sample")
         lines.append(f"density = {density(craft, sensor)!r}  # {unit}/sqrt(Hz), mean over the axes")
         lines += _effect_lines(craft, sensor, spread)
+        for kind, numbers in coloured_parts(craft, sensor).items():
+            lines.append(f"[{sensor}.{kind}]  # sigma in {unit}{_MEANS[kind]}")
+            lines += [f"{k} = {v!r}" for k, v in numbers.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -150,10 +150,21 @@ def accelerations(craft: Craft, states: Mapping[str, FloatArray]) -> FloatArray:
 
 def _accelerations(craft: Craft, s: _States) -> FloatArray:
     p = np.array([craft.values[d.name] for d in craft.physics.parameters])
+    inputs = _inputs_of(craft, s.inputs)
     found = _acceleration_function(craft.physics)(
-        s.attitude, s.velocity, s.position, s.rate, s.inputs, p
+        s.attitude, s.velocity, s.position, s.rate, inputs, p
     )
     return np.asarray(found, dtype=float)
+
+
+def _inputs_of(craft: Craft, inputs: FloatArray) -> FloatArray:
+    """Inputs (n_u, n) as the craft's model takes them: a change may bring in or take away the
+    battery, whose voltage is then the nominal one or not needed."""
+    wanted = len(craft.physics.inputs)
+    if len(inputs) < wanted:
+        volt = np.full((wanted - len(inputs), inputs.shape[1]), craft.nominal_voltage or 1.0)
+        return np.vstack([inputs, volt])
+    return inputs[:wanted]
 
 
 def _thrust_at_hover(craft: Craft, other: Craft) -> tuple[float, float]:
@@ -205,6 +216,7 @@ def fly(
     """States (n_x, steps) of the craft in our own model, from blocks of `start` (position,
     velocity, attitude, rate), rotors at the speed of hover, under `commands` (n_u, steps)."""
     physics = craft.physics
+    commands = _inputs_of(craft, commands)
     past, future = physics.window
     steps = commands.shape[1]
     x0 = start_state(craft, start, commands[:, 0])

@@ -11,7 +11,7 @@ from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
 
 THRUST_MAP, TORQUE_MAP, GRAVITY = "thrust map", "torque map", "gravity"
-CENTRE = "centre of mass"
+CENTRE, GYROSCOPIC = "centre of mass", "gyroscopic moment"
 LEARNED = "learned and unexplained pushes"
 """What stands in the table beside the effects."""
 
@@ -79,7 +79,7 @@ class Wording:
         for name, effect in self.craft.effects.items():
             if name not in have:
                 self.lost(name, _no_term(effect, self.simulator))
-        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, *self.craft.effects, LEARNED]
+        order = [THRUST_MAP, TORQUE_MAP, GRAVITY, CENTRE, GYROSCOPIC, *self.craft.effects, LEARNED]
         if self.craft.pushes and LEARNED not in {w.effect for w in self.rows}:
             self.add(
                 Word(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import locale
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -76,3 +79,84 @@ def test_a_model_that_is_not_usable_is_refused(
     assert "--even-so" in capsys.readouterr().err
     assert not Path(out).exists()
     assert main(["twin", path, "--target", "rotorpy", "--out", out, "--even-so"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--target", "rotorpy", "--draws", "0"], "number of draws; expected 1"),
+        (["--target", "rotorpy", "--draws", "5", "--seed", "-1"], "seed of the draws"),
+        (["--target", "rotorpy,rotorpy"], "target rotorpy twice"),
+        (["--target", ","], "names none"),
+        (["--target", "rotorpy", "--check", "a.csv"], "--check without draws"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_one_line(
+    options: list[str], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, {})
+    assert main(["twin", path, "--out", str(tmp_path / "t"), *options]) == 2
+    assert line in capsys.readouterr().err.strip().splitlines()[-1]
+    assert not (tmp_path / "t").exists()
+
+
+def test_existing_files_stay_and_nothing_is_half_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = written(tmp_path, {}), tmp_path / "t"
+    (out / "rotorpy").mkdir(parents=True)
+    (out / "rotorpy" / "sensors.toml").write_text("mine")
+    arguments = ["twin", path, "--target", "numpy,rotorpy", "--out", str(out)]
+    assert main(arguments) == 2
+    assert "rotorpy/sensors.toml exist" in capsys.readouterr().err
+    assert [p for p in out.rglob("*") if p.is_file()] == [out / "rotorpy" / "sensors.toml"]
+    assert (out / "rotorpy" / "sensors.toml").read_text() == "mine"
+    assert main([*arguments, "--force"]) == 0
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet"])
+def test_a_layout_that_a_target_cannot_express_is_refused_by_name_and_noted_otherwise(
+    target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle = tmp_path / "hexa.toml"
+    assert main(["vehicle", "new", "--template", "racer250", "--out", str(vehicle)]) == 0
+    extra = "\n[[rotor]]\nposition = [0.0, 0.2, 0.0]\nspin = 1\n"
+    extra += "\n[[rotor]]\nposition = [0.0, -0.2, 0.0]\nspin = 1\n"
+    vehicle.write_text(vehicle.read_text().replace("\n[actuator]", extra + "\n[actuator]"))
+    out = ["--even-so", "--out", str(tmp_path / "t")]
+    assert main(["twin", str(vehicle), "--target", target, *out]) == 2
+    assert "four rotors" in (said := capsys.readouterr().err) or "6" in said
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_vehicle_file_in_grams_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle, out = tmp_path / "v.toml", str(tmp_path / "t")
+    assert main(["vehicle", "new", "--template", "crazyflie", "--out", str(vehicle)]) == 0
+    text = vehicle.read_text().splitlines()
+    at = next(i for i, row in enumerate(text) if row.startswith("mass"))
+    vehicle.write_text("\n".join([*text[:at], "mass = 27.0", *text[at + 1 :]]))
+    assert main(["twin", str(vehicle), "--target", "numpy", "--out", out]) == 1
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "grams" in said and "--even-so" in said
+    assert not Path(out).exists()
+
+
+def test_decimal_commas_of_the_locale_change_nothing(tmp_path: Path) -> None:
+    path, targets = written(tmp_path, {}), "gazebo,px4,ardupilot,mujoco,pybullet"
+    assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "a")]) == 0
+    kept = locale.setlocale(locale.LC_ALL)
+    for name in ("de_DE.UTF-8", "fr_FR.UTF-8", "de_DE"):
+        with contextlib.suppress(locale.Error):
+            locale.setlocale(locale.LC_ALL, name)
+            break
+    try:
+        assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "b")]) == 0
+    finally:
+        locale.setlocale(locale.LC_ALL, kept)
+    for one in (p for p in (tmp_path / "a").rglob("*") if p.is_file()):
+        other = tmp_path / "b" / one.relative_to(tmp_path / "a")
+        assert one.read_bytes() == other.read_bytes()
+        if one.suffix in (".sdf", ".params", ".xml", ".urdf", ".parm"):
+            assert not re.search(r"\d,\d{2,}", one.read_text()), one

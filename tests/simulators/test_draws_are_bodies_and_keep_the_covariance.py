@@ -13,7 +13,9 @@ import pytest
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.simulators.draws import Draws, draw
-from tests.simulators.identified import identified
+from greybox.simulators.targets import target_by_name
+from tests.simulators.identified import Array, identified
+from tests.simulators.test_written_numbers_give_the_wrench import rotation
 
 NAMES = ("inertia.xx", "inertia.yy", "inertia.zz", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
 
@@ -90,3 +92,43 @@ def test_a_seed_repeats_and_the_files_hold_the_draws() -> None:
 def test_no_draws_are_refused() -> None:
     with pytest.raises(DataError, match="number of draws"):
         draw(uncertain((0.1,) * 6), 0)
+
+
+def test_drawn_fields_are_those_of_the_written_mujoco_models() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = uncertain((0.1,) * 6)
+    products = {"products_of_inertia.Jxy": 5e-4, "center_of_mass_offset.c_x": 0.01}
+    whole = identified({**{n: model.values[n] for n in NAMES}, **products})
+    model = replace(model, dynamics=whole.dynamics, values=whole.values)
+    draws = draw(model, 3, seed=4)
+    fields = np.load(io.BytesIO(bytes(draws.files()["draws/mjx.npz"])))  # type: ignore[arg-type]
+    for i in range(len(draws)):
+        text = target_by_name("mujoco").files(draws.one(i))["model.xml"]
+        plant = mujoco.MjModel.from_xml_string(text)
+        for name in fields.files:
+            if name not in ("body_inertia", "body_iquat"):
+                np.testing.assert_allclose(fields[name][i], getattr(plant, name), err_msg=name)
+        tensors = [
+            turned(quat, moments)
+            for quat, moments in (
+                (fields["body_iquat"][i, 1], fields["body_inertia"][i, 1]),
+                (plant.body_iquat[1], plant.body_inertia[1]),
+            )
+        ]
+        np.testing.assert_allclose(tensors[0], draws.one(i).inertia, atol=1e-12)
+        np.testing.assert_allclose(tensors[1], draws.one(i).inertia, atol=1e-9)
+
+
+def test_isaac_gets_inertia_in_body_axes() -> None:
+    draws = draw(uncertain((0.1,) * 6), 3, seed=4)
+    fields = np.load(io.BytesIO(bytes(draws.files()["draws/isaac.npz"])))  # type: ignore[arg-type]
+    for i in range(len(draws)):
+        craft = draws.one(i)
+        np.testing.assert_array_equal(fields["inertias"][i].reshape(3, 3), craft.inertia)
+        weight = fields["rotor_constant"][i].sum() * (craft.speed_max * craft.hover_nu) ** 2
+        assert weight == pytest.approx(craft.mass * craft.gravity)
+
+
+def turned(quat: Array, moments: Array) -> Array:
+    turn = rotation(np.asarray(quat))
+    return turn @ np.diag(moments) @ turn.T

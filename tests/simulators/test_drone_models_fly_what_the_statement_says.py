@@ -111,3 +111,31 @@ def test_what_it_folds_flies_as_the_statement_says(package: str, tmp_path: Path)
     theirs = flown(dynamics, tmp_path / package, statement.spoken.name, u)
     apart = agreement(fly(statement.spoken, START, u, 0.01)[:13], theirs)
     assert max(apart.values()) < 0.01, apart
+
+
+@pytest.mark.parametrize("package", ["drone-models", "crazyflow"])
+def test_the_fitted_form_climbs_as_the_model_does(package: str, tmp_path: Path) -> None:
+    dynamics_of(package)
+    if package == "crazyflow":
+        from crazyflow.dynamics.so_rpy_rotor_drag import dynamics
+    else:
+        from drone_models.so_rpy_rotor_drag import dynamics
+    model = identified({"motor_lag.tau": 0.05, "axial_inflow.k_z": 3e-5}, gravity=9.80665)
+    (statement,) = twin(model, [package], out=tmp_path).statements
+    craft = statement.spoken
+    text = (tmp_path / package / "so_rpy_rotor_drag.toml").read_text()
+    p = {k: np.array(v) for k, v in tomllib.loads(text)[craft.name].items()}
+    p = {k: v for k, v in p.items() if not k.startswith("thrust_m")}
+    p["J_inv"] = np.linalg.inv(p["J"])
+    u = np.full((4, 50), 1.02 * craft.hover_nu)
+    start = {k: 0.0 * v for k, v in START.items()} | {"attitude": np.array([1.0, 0, 0, 0])}
+    ours = fly(craft, start, u, 0.01)
+    weight = craft.mass * craft.gravity
+    command = np.array([0, 0, 0, weight * 1.02**2])
+    s, dt = np.concatenate([np.zeros(6), np.full(4, weight)]), 1e-3
+    level, still = np.array([0, 0, 0, 1.0]), np.zeros(3)
+    for _ in range(500):
+        d = dynamics(s[:3], level, s[3:6], still, command, s[6:], **p)
+        s = s + dt * np.concatenate([d[0], d[2], d[4]])
+    assert s[2] == pytest.approx(ours[2, -1], rel=0.01)
+    assert s[5] == pytest.approx(ours[5, -1], rel=0.01)

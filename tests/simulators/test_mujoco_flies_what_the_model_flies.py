@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -89,3 +90,17 @@ def test_the_plain_file_hovers_without_the_callback(tmp_path: Path) -> None:
     for _ in range(100):
         mujoco.mj_step(plant, data)
     assert np.abs(data.qvel).max() < 1e-9
+
+
+def test_commands_carry_the_battery(tmp_path: Path) -> None:
+    model = identified({"battery_sag.c_V": 0.7, "thrust_curve.f": 0.2})
+    twin(model, ["mujoco", "rotorpy"], out=tmp_path)
+    craft = Craft.of(model)
+    goal = craft.physics.body.rotors.goal
+    u = np.array([0.5, 0.6, 0.7, 0.8])
+    for target in ("mujoco", "rotorpy"):
+        (commands,) = load(tmp_path / target, "commands")
+        for volt in (10.0, 11.5):
+            given = ca.DM([*u, volt])
+            ours = np.asarray(goal(given, craft.values), dtype=float).ravel()
+            np.testing.assert_allclose(commands.normalised_speed(u, volt), ours, rtol=1e-12)

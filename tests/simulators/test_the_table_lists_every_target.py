@@ -72,3 +72,17 @@ def test_files_that_exist_stay_unless_forced(folder: Path) -> None:
 
 def test_a_name_becomes_an_identifier() -> None:
     assert Craft.of(identified({}, replace(example_vehicle(), name=NAME))).name.isidentifier()
+
+
+def test_a_battery_is_sized_by_every_target_that_says_it_in_another_way() -> None:
+    model = identified({"battery_sag.c_V": 0.7, "motor_lag.tau": 0.05})
+    made = gb.twin(model)
+    sizes = {
+        s.target: r.size
+        for s in made.statements
+        for r in s.rows
+        if r.word.effect == "battery_sag" and r.word.status.value != "said"
+    }
+    assert {"rotorpy", "crazyflow", "gazebo", "px4", "ardupilot"} <= set(sizes)
+    for target, size in sizes.items():
+        assert size is not None and max(map(abs, size.thrust)) > 0.02, target

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from greybox.errors import UnknownNameError
 from greybox.simulators.target import Target
+from greybox.simulators.targets.ardupilot import ArduPilot
 from greybox.simulators.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
 from greybox.simulators.targets.gazebo import Gazebo
 from greybox.simulators.targets.isaac import Isaac
 from greybox.simulators.targets.jax_module import JaxModule
+from greybox.simulators.targets.jsbsim import JSBSim
 from greybox.simulators.targets.mujoco import MuJoCo
 from greybox.simulators.targets.numpy_module import NumPyModule
 from greybox.simulators.targets.px4 import PX4
@@ -24,7 +26,9 @@ TARGETS: tuple[Target, ...] = (
     PyBullet(),
     Gazebo(),
     PX4(),
+    ArduPilot(),
     Isaac(),
+    JSBSim(),
 )
 
 

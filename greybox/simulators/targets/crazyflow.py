@@ -1,9 +1,10 @@
 """crazyflow and drone-models: the parameters of their first-principles dynamics as TOML.
 
 Both take rotor speeds in revolutions per minute, a 3 x n matrix of arms and spins, polynomials of
-thrust and torque, one linear drag, and rates of the rotors' rise and fall. Their fitted forms
-(so_rpy and kin) describe a craft together with its attitude controller, which the model does not
-hold; they are not written.
+thrust and torque, one linear drag, and rates of the rotors' rise and fall. Their fitted form with
+thrust lag and drag (so_rpy_rotor_drag) describes a craft together with its attitude controller,
+which the model does not hold: it is written for a controller that is as quick as rotors of this lag
+and delay allow at a damping ratio of 1/sqrt(2).
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class FirstPrinciples:
         return w.finish()
 
     def files(self, craft: Craft) -> Mapping[str, str]:
-        """params.toml and commands.py."""
+        """params.toml, so_rpy_rotor_drag.toml and commands.py."""
         scale = craft.speed_max * PER_MINUTE
         arms, n = craft.arms, craft.count
         length = float(np.abs(arms[:, :2]).max())
@@ -89,7 +90,39 @@ class FirstPrinciples:
         ]
         if n != 4:
             lines.insert(3, f"# {n} rotors: the package's own controllers expect four")
-        return {"params.toml": "\n".join(lines) + "\n", "commands.py": command_text(craft)}
+        return {
+            "params.toml": "\n".join(lines) + "\n",
+            "so_rpy_rotor_drag.toml": self._fitted(craft),
+            "commands.py": command_text(craft),
+        }
+
+    def _fitted(self, craft: Craft) -> str:
+        """Attitude as a second-order answer to angles, thrust as a first-order one."""
+        lag = max(craft.get("motor_lag.tau"), SHORTEST_LAG)
+        damping = 0.5 / (lag + craft.get("command_delay.d") + 0.5 * craft.sample_time)
+        stiffness = 0.5 * damping**2
+        low, high = craft.command_range
+        lines = [
+            f"# Fitted form so_rpy_rotor_drag for {self.simulator}, written by greybox twin.",
+            "# rpy_coef, rpy_rates_coef and cmd_rpy_coef are no measurement: the attitude controller",
+            "# is not in the model. Put in those of yours (identify them from its flights).",
+            f"[{craft.name}]",
+            f"mass = {craft.mass!r}  # kg",
+            f"J = {craft.inertia.tolist()}  # kg m^2",
+            f"gravity_vec = [0.0, 0.0, {-craft.gravity!r}]  # m/s^2",
+            f"thrust_min = {_thrust(craft, low)!r}  # N, of one rotor",
+            f"thrust_max = {_thrust(craft, high)!r}",
+            "acc_coef = 0.0",
+            "cmd_f_coef = 1.0",
+            f"thrust_dyn_coef = {1.0 / lag!r}  # 1/s"
+            if self.per_motor
+            else f"thrust_time_coef = {lag!r}  # s",
+            f"rpy_coef = {[-stiffness] * 3}  # 1/s^2",
+            f"rpy_rates_coef = {[-damping] * 3}  # 1/s",
+            f"cmd_rpy_coef = {[stiffness] * 3}  # 1/s^2",
+            f"drag_matrix = {np.diag(-drag_of(craft)).tolist()}  # N s/m",
+        ]
+        return "\n".join(lines) + "\n"
 
     def _curves(self, c: FloatArray, craft: Craft, scale: float) -> str:
         powers = [float(v) / scale**k for k, v in enumerate(c)]

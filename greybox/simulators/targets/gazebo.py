@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.simulators.craft import Craft
+from greybox.simulators.sensor_text import coloured_parts
 from greybox.simulators.targets.rotorpy import one_drag
 from greybox.simulators.words import Word, Wording, quadratic_maps
 from greybox.symbolic import FloatArray
@@ -218,21 +219,27 @@ def _sdf(craft: Craft, version: str, kind: Mapping[str, str]) -> str:
         height=repr(0.3 * arm),
         imu=_text(craft.physics.vehicle.imu_position),
         rate=repr(1.0 / craft.sample_time),
-        gyro=_noise(craft, ("p", "q", "r"), "gyro_bias"),
-        accelerometer=_noise(craft, ("ax", "ay", "az"), "accelerometer_bias"),
+        gyro=_noise(craft, ("p", "q", "r"), "gyro"),
+        accelerometer=_noise(craft, ("ax", "ay", "az"), "accelerometer"),
         rotors="\n".join(rotors),
         plugins="\n".join(plugins),
     )
 
 
-def _noise(craft: Craft, names: tuple[str, ...], bias: str) -> str:
+def _noise(craft: Craft, names: tuple[str, ...], sensor: str) -> str:
+    """White noise, bias, and as dynamic bias the Gauss-Markov noise of the model."""
     sigma = craft.noise(names)
     if sigma is None:
         return ""
-    mean = np.array([craft.source.values.get(f"{bias}.b_{a}", 0.0) for a in "xyz"])
+    mean = np.array([craft.source.values.get(f"{sensor}_bias.b_{a}", 0.0) for a in "xyz"])
+    walk = coloured_parts(craft, sensor).get("coloured")
+    further = "" if walk is None else (
+        f"<dynamic_bias_stddev>{walk['sigma']!r}</dynamic_bias_stddev>"
+        f"<dynamic_bias_correlation_time>{walk['T']!r}</dynamic_bias_correlation_time>"
+    )
     axes = [
         f'<{a}><noise type="gaussian"><mean>0</mean><stddev>{float(s)!r}</stddev>'
-        f"<bias_mean>{float(m)!r}</bias_mean></noise></{a}>"
+        f"<bias_mean>{float(m)!r}</bias_mean>{further}</noise></{a}>"
         for a, s, m in zip("xyz", sigma, mean, strict=True)
     ]
     return "".join(axes)

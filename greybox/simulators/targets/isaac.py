@@ -14,6 +14,8 @@ import numpy as np
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
 from greybox.simulators.laws import drag_of, fold_drag
+from greybox.simulators.principal_axes import principal_axes
+from greybox.simulators.sensor_text import coloured_parts
 from greybox.simulators.words import Word, Wording, quadratic_maps
 from greybox.symbolic import FloatArray
 
@@ -33,8 +35,10 @@ drag: {drag}  # N s/m, body axes
 imu:
   gyroscope:
     noise_density: {gyro}  # rad/s/sqrt(Hz)
+    random_walk: {gyro_walk}  # rad/s after one second, over sqrt(s)
   accelerometer:
     noise_density: {accelerometer}  # m/s^2/sqrt(Hz)
+    random_walk: {accelerometer_walk}
 """
 _USD = """#usda 1.0
 (
@@ -88,9 +92,7 @@ class Isaac:
     def files(self, craft: Craft) -> Mapping[str, str]:
         """pegasus.yaml, NAME.usda and commands.py."""
         n, speed = craft.count, craft.speed_max
-        moments, turn = np.linalg.eigh(craft.inertia)
-        if np.linalg.det(turn) < 0:
-            turn[:, 0] = -turn[:, 0]
+        moments, axes = principal_axes(craft.inertia)
         noise = [craft.noise(names) for names in (("p", "q", "r"), ("ax", "ay", "az"))]
         gyro, accelerometer = (
             0.0 if s is None else float(np.sqrt(np.mean(s**2) * craft.sample_time)) for s in noise
@@ -108,13 +110,17 @@ class Isaac:
             drag=drag_of(craft).tolist(),
             gyro=repr(gyro),
             accelerometer=repr(accelerometer),
+            **{
+                f"{s}_walk": repr(float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0)))
+                for s in ("gyro", "accelerometer")
+            },
         )
         usd = _USD.format(
             name=craft.name,
             mass=repr(craft.mass),
             com=_text(craft.center_of_mass),
             moments=_text(moments),
-            axes=_text(_quaternion(turn)),
+            axes=_text(axes),
             arm=repr(arm),
             height=repr(0.3 * arm),
             rotors="\n".join(
@@ -126,30 +132,6 @@ class Isaac:
             f"{craft.name}.usda": usd,
             "commands.py": command_text(craft),
         }
-
-
-def _quaternion(turn: FloatArray) -> FloatArray:
-    """(w, x, y, z) of a rotation matrix (Shepperd 1978)."""
-    diagonal = np.array([np.trace(turn), *np.diag(turn)])
-    k = int(np.argmax(diagonal))
-    if k == 0:
-        q = np.array(
-            [
-                1 + diagonal[0],
-                turn[2, 1] - turn[1, 2],
-                turn[0, 2] - turn[2, 0],
-                turn[1, 0] - turn[0, 1],
-            ]
-        )
-    else:
-        i = k - 1
-        j, m = (i + 1) % 3, (i + 2) % 3
-        q = np.zeros(4)
-        q[0] = turn[m, j] - turn[j, m]
-        q[1 + i] = 1 + turn[i, i] - turn[j, j] - turn[m, m]
-        q[1 + j] = turn[i, j] + turn[j, i]
-        q[1 + m] = turn[i, m] + turn[m, i]
-    return np.asarray(q / np.linalg.norm(q))
 
 
 def _text(values: FloatArray) -> str:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import casadi as ca
 import numpy as np
 
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
 from greybox.simulators.python_code import NUMBERS, python_source
 from greybox.simulators.words import THRUST_MAP, TORQUE_MAP, Status, Word, Wording
+from greybox.simulators.wrench import ARGUMENTS, wrench_function
 from greybox.symbolic import FloatArray
 
 TIMESTEP = 0.002
@@ -218,30 +218,8 @@ def _callback(craft: Craft) -> str:
         largest=largest,
         arms=craft.arms.tolist(),
         ratio=yaw_ratio(craft).tolist(),
-        wrench=python_source(wrench_function(craft), "_wrench", _ARGUMENTS),
+        wrench=python_source(wrench_function(craft), "_wrench", ARGUMENTS),
     )
-
-
-_ARGUMENTS = ("attitude", "velocity", "position", "rate", "nu", "nu_rate")
-
-
-def wrench_function(craft: Craft) -> ca.Function:
-    """(attitude, velocity and position of the centre of mass in the world, rate, nu, nu_rate) ->
-    force [N] and moment about the centre of mass [N m] in body axes, without gravity."""
-    physics, n = craft.physics, craft.count
-    q, v, x, rate, nu, change = (
-        ca.SX.sym(a, k) for a, k in zip(_ARGUMENTS, (4, 3, 3, 3, n, n), strict=True)
-    )
-    body = physics.body
-    memory = ca.SX.zeros(len(body.staged.remembered))
-    blocks = {"attitude": q, "velocity": v, "position": x, "rate": rate, "memory": memory}
-    u = ca.SX.ones(len(physics.inputs)) * (craft.nominal_voltage or 1.0)
-    values = {name: ca.SX(value) for name, value in craft.values.items()}
-    force, alpha, _ = body.accelerations(blocks, nu, change, u, values, ca.SX.zeros(9))
-    j = ca.DM(craft.inertia)
-    moment = j @ alpha + ca.cross(rate, j @ rate)
-    out = ca.densify(ca.vertcat(craft.mass * force, moment))
-    return ca.Function("wrench", [q, v, x, rate, nu, change], [out], {"cse": True})
 
 
 def _text(values: FloatArray | tuple[float, ...] | list[float]) -> str:

@@ -21,6 +21,8 @@ _TEXT = '''"""{title} for RotorPy: written by greybox twin.
     from vehicle import initial_state, motor_speeds, quad_params
     craft = Multirotor(quad_params, initial_state(), control_abstraction="cmd_motor_speeds")
     state = craft.step(state, {{"cmd_motor_speeds": motor_speeds(u)}}, dt)
+
+with_rest(Multirotor) in place of Multirotor also has what rest.py holds.
 """
 
 import numpy as np
@@ -61,6 +63,24 @@ def initial_state():
     zero = np.zeros(3)
     return {{"x": zero, "v": zero, "q": np.array([0, 0, 0, 1.0]), "w": zero, "wind": WIND,
             "rotor_speeds": speeds}}
+
+
+def with_rest(Multirotor):
+    """The class with the forces and moments of rest.py, which RotorPy has no terms for."""
+    from rest import in_world, rest
+
+    class Twin(Multirotor):
+        def _s_dot_fn(self, t, s, cmd_rotor_speeds):
+            out = super()._s_dot_fn(t, s, cmd_rotor_speeds)
+            q = s[[9, 6, 7, 8]] / np.linalg.norm(s[6:10])
+            nu = s[16:] / (SPEED_MAX * np.sqrt(STRENGTH))
+            nu_rate = out[16:] / (SPEED_MAX * np.sqrt(STRENGTH))
+            force, moment = rest(q, s[3:6], s[:3], s[10:13], nu, nu_rate)
+            out[3:6] += in_world(q, force, moment)[0] / self.mass
+            out[10:13] += self.inv_inertia @ moment
+            return out
+
+    return Twin
 '''
 
 

@@ -1,0 +1,198 @@
+"""Exported simulators on real flights that no fit saw, beside our own model and the Crazyflies that ship with them.
+
+    python -m scenarios.studies.twin_flights MODEL.json LOG... [--targets rotorpy,mujoco,drone-models,pybullet] [--out F]
+
+From instants of each flight (every `SPACING` seconds, after the first five, on which the flight's own parameters are
+adapted) the recorded commands are flown for half a second: by our model, by each simulator on the files of `greybox twin`
+(with and without rest.py) and by RotorPy's and drone-models' own Crazyflie. All start from the same filtered state; sensor
+errors (bias, misalignment, delay) are taken as our model has them, for everybody. Shipped craft get our command map and
+delay, scaled so that they hover at our hover command: more than their files say.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from greybox.data import Flight
+from greybox.data.logs import read_logs
+from greybox.estimation.filtering import Filter
+from greybox.files import write_json
+from greybox.model.identified import IdentifiedModel
+from greybox.residual.files import load_model
+from greybox.simulators.make import twin
+from greybox.symbolic import FloatArray
+from greybox.validation.adapt import adapt_to_flight
+from scenarios.foreign.plant import MissingSimulator
+from scenarios.twins.written import FLYERS, SHIPPED, Start, load
+
+SPACING, ADAPT, SECONDS = 1.0, 5.0, 0.5
+HORIZONS = (0.1, 0.5)
+UNITS = {"position": "m", "velocity": "m/s", "rotation": "rad", "rate": "rad/s"}
+IntArray = npt.NDArray[np.int64]
+Errors = dict[str, dict[str, list[FloatArray]]]
+"""Who flew -> group -> squared errors (instants, steps), one array per stretch."""
+
+
+def study(model: IdentifiedModel, flights: Sequence[Flight], targets: Sequence[str], say: Callable[[str], None]) -> Errors:
+    """Squared errors of everybody."""
+    errors: Errors = {}
+    for flight in flights:
+        filter_ = Filter(model)
+        values = adapt_to_flight(model, flight, ADAPT, riccati=filter_.riccati).values if model.flight_spread else {}
+        own = replace(model, values=model.values.replace(values))
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder)
+            twin(own, ("numpy", *targets), out=place)
+            (module,) = load(place / "numpy", "simulate")
+            (commands,) = load(place / targets[0], "commands")
+            for segment in flight.segments:
+                run = filter_.run(segment.without(flight.noncausal), p=own.parameter_vector())
+                dt, steps = run.record.dt, round(SECONDS / run.record.dt)
+                rows = np.arange(round(ADAPT / dt), run.record.n - steps - 2, round(SPACING / dt))
+                if not len(rows):
+                    continue
+                real = {g: segment.matrix(c, missing_ok=True) for g, c in _columns(segment.channels).items()}
+                flown = _flown(module, commands, place, targets, run.states[rows], run.record.inputs, rows, steps, dt)
+                for who, states in flown.items():
+                    seen = _seen(module, states, run.record.inputs, rows, real)
+                    for group, value in seen.items():
+                        truth = np.stack([real[group][rows + 1 + k] for k in range(steps)], axis=1)
+                        errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth))
+        say(f"{flight.name}: {', '.join(errors)}")
+    return errors
+
+
+def _columns(channels: Any) -> dict[str, tuple[str, ...]]:
+    groups = {
+        "position": ("x", "y", "z"), "velocity": ("vx", "vy", "vz"), "rotation": ("qw", "qx", "qy", "qz"),
+        "rate": ("p", "q", "r"),
+    }  # fmt: skip
+    return {g: c for g, c in groups.items() if all(n in channels for n in c)}
+
+
+def _flown(
+    module: Any, commands: Any, place: Path, targets: Sequence[str], starts: FloatArray, inputs: FloatArray,
+    rows: IntArray, steps: int, dt: float,
+) -> dict[str, FloatArray]:  # fmt: skip
+    """Who -> states (instants, steps, n_x) of our model's layout; disturbances of others are zero."""
+    past, names = int(module.PAST), module.STATES
+    rotors = [i for i, n in enumerate(names) if n.startswith("rotor.")]
+    pushes = [i for i, n in enumerate(names) if n.startswith("disturbance.")]
+    forgotten = starts.copy()
+    forgotten[:, pushes] = 0.0
+    out = {"our model": _ours(module, starts, inputs, rows, steps)}
+    out["our model, pushes forgotten"] = _ours(module, forgotten, inputs, rows, steps)
+    count = len(rotors)
+    flyers: dict[str, Any] = {}
+    for name in targets:
+        flyers[name] = (FLYERS[name], place / name, {})
+        if (place / name / "rest.py").is_file():
+            flyers[f"{name} with rest.py"] = (FLYERS[name], place / name, {"rest": True})
+    flyers |= {f"shipped: {n}": (fly, commands, {}) for n, fly in SHIPPED.items() if n in targets}
+    for who, (fly, first, further) in flyers.items():
+        flights = []
+        for x, s in zip(starts, rows, strict=True):
+            start = Start(
+                position=x[:3], velocity=x[3:6], attitude=x[6:10] / np.linalg.norm(x[6:10]), rate=x[10:13],
+                rotors=x[rotors],
+            )  # fmt: skip
+            window = inputs[s : s + past + steps]
+            volt = window[past:, count] if inputs.shape[1] > count else None
+            flights.append(fly(first, start, window[past:, :count], window[:past, :count], dt, volt, **further))
+        states = np.zeros((len(rows), steps, len(names)))
+        found = np.array(flights)
+        states[..., :13] = found[..., :13]
+        states[..., rotors] = found[..., 13:]
+        out[who] = states
+    return out
+
+
+def _ours(module: Any, starts: FloatArray, inputs: FloatArray, rows: IntArray, steps: int) -> FloatArray:
+    past, x, states = int(module.PAST), starts, []
+    for k in range(steps):
+        window = np.stack([inputs[rows + k + i] for i in range(past + 1)], axis=1)
+        x = module.step(x, window)
+        states.append(x)
+    return np.stack(states, axis=1)
+
+
+def _seen(
+    module: Any, states: FloatArray, inputs: FloatArray, rows: IntArray, real: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Group -> what its sensor says (instants, steps, axes)."""
+    past, steps = int(module.PAST), states.shape[1]
+    out: dict[str, list[FloatArray]] = {g: [] for g in real}
+    for k in range(steps):
+        window = np.stack([inputs[rows + k + 1 + i] for i in range(past + 1)], axis=1)
+        y = module.output(states[:, k], window)
+        columns = dict(zip(module.OUTPUTS, y.T, strict=True))
+        columns |= {f"v{a}": states[:, k, 3 + i] for i, a in enumerate("xyz")}
+        for group, names in _columns(columns).items():
+            if group in out:
+                out[group].append(np.stack([columns[n] for n in names], axis=-1))
+    return {g: np.stack(v, axis=1) for g, v in out.items()}
+
+
+def _squared(group: str, seen: FloatArray, real: FloatArray) -> FloatArray:
+    if group != "rotation":
+        return np.asarray(np.sum((seen - real) ** 2, axis=-1))
+    product = np.abs(np.sum(seen * real, axis=-1)) / np.linalg.norm(seen, axis=-1) / np.linalg.norm(real, axis=-1)
+    return np.asarray((2.0 * np.arccos(np.minimum(1.0, product))) ** 2)
+
+
+def table(errors: Errors, dt: float) -> list[dict[str, Any]]:
+    """One row per flyer, group and horizon: root mean square error, and over ours."""
+    rows = []
+    for who, groups in errors.items():
+        for group in groups:
+            for h in HORIZONS:
+                k = round(h / dt) - 1
+                both = [np.concatenate([p[:, k] for p in e[group]]) for e in (groups, errors["our model"])]
+                good = np.isfinite(both[0]) & np.isfinite(both[1])
+                error, ours = (float(np.sqrt(e[good].mean())) for e in both)
+                rows.append({"who": who, "group": group, "seconds": h, "rmse": error, "over_ours": error / ours,
+                             "count": int(good.sum())})  # fmt: skip
+    return rows
+
+
+def format_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Errors, and in brackets their ratio to those of our model."""
+    columns = list(dict.fromkeys((r["group"], r["seconds"]) for r in rows))
+    lines = ["  ".join([f"{'':28}", *(f"{g} {h:g} s [{UNITS[g]}]".ljust(22) for g, h in columns)])]
+    for who in dict.fromkeys(r["who"] for r in rows):
+        cells = {(r["group"], r["seconds"]): f"{r['rmse']:.4f} ({r['over_ours']:.3f})" for r in rows if r["who"] == who}
+        lines.append("  ".join([f"{who:28}", *(cells[c].ljust(22) for c in columns)]))
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fly, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", metavar="MODEL.json")
+    parser.add_argument("logs", nargs="+", metavar="LOG")
+    parser.add_argument("--targets", default="rotorpy,mujoco,drone-models")
+    parser.add_argument("--out", metavar="F.json")
+    options = parser.parse_args(arguments)
+    model = load_model(options.model)
+    flights = read_logs(options.logs, model.physics.vehicle, rate=1.0 / model.sample_time)
+    targets = options.targets.split(",")
+    try:
+        errors = study(model, list(flights), targets, lambda line: print(line, flush=True))
+    except MissingSimulator as missing:
+        raise SystemExit(str(missing)) from None
+    rows = table(errors, model.sample_time)
+    print(format_table(rows))
+    if options.out:
+        write_json(options.out, {"model": options.model, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

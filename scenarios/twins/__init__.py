@@ -1,0 +1,1 @@
+"""Twins: simulators of others fly the files that greybox wrote."""

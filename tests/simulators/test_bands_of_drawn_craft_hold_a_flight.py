@@ -1,0 +1,62 @@
+"""The band of drawn craft holds a flight that the model describes, not one of another craft; a box of 30 % is far wider."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import greybox.simulators.coverage as coverage_module
+from greybox.errors import DataError
+from greybox.model.identified import IdentifiedModel
+from greybox.model.model import build_model
+from greybox.model.parameter import ParameterValues
+from greybox.simulators.coverage import Covered, coverage, format_table
+from greybox.simulators.draws import draw
+from tests import simulated
+
+NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
+
+
+def model(off: float = 1.0) -> IdentifiedModel:
+    """The simulated craft as it is, thrust `off`, known within a percent."""
+    data = simulated.flights(1, 10.0)
+    physics = build_model(simulated.vehicle(), data.channels, ("motor_lag", "rotor_drag", "gyro_bias"), sample_time=0.01)
+    settled = {d.name: d.null if d.null is not None else d.nominal for d in physics.parameters}
+    true = {k: v for k, v in simulated.truth().items() if k in settled}
+    own = {"thrust.c2": off * true["thrust.c2"], "inertia.zz": 0.97 * true["inertia.zz"]}  # no body has the plant's own
+    values = ParameterValues({**settled, **true, **own})
+    sigma = 0.01 * np.array([values[n] for n in NAMES])
+    return IdentifiedModel(
+        dynamics=physics,
+        values=values,
+        covariance_names=NAMES,
+        covariance=np.diag(sigma**2),
+        process_noise=physics.noise_scale(0.01),
+        sensor_noise=physics.sensor_scale(),
+        weak=np.full(len(physics.error_states), 1e3),
+        reference_state=physics.reference({}),
+        reference_inputs=np.full(len(physics.inputs), 0.7),
+        sample_time=0.01,
+    )
+
+
+def rows(m: IdentifiedModel) -> dict[tuple[str, float, bool], Covered]:
+    found = coverage(m, draw(m, 40, seed=1), simulated.flights(1, 10.0), seed=1)
+    assert "needed" in format_table(found)
+    return {(r.group, r.seconds, r.adapted): r for r in found}
+
+
+def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coverage_module, "SPACING", 0.5)
+    right, wrong = rows(model()), rows(model(off=1.1))
+    for group in ("position", "velocity"):
+        ours, theirs = right[group, 0.5, False], wrong[group, 0.5, False]
+        assert ours.share > 0.5 > theirs.share  # the plant has gusts that this model does not know
+        assert ours.needed < 0.5 * theirs.needed
+        assert ours.box_width > 3.0 * ours.width
+
+
+def test_too_short_flights_are_refused() -> None:
+    m = model()
+    with pytest.raises(DataError, match="long enough"):
+        coverage(m, draw(m, 3), simulated.flights(1, 6.0))

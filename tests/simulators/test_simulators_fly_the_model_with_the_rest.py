@@ -1,0 +1,92 @@
+"""PyBullet and JSBSim, given the written files, are within 1 % of what their statements say over half
+a second; and with the force and moment of rest.py every simulator is within 1 % of the whole model."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greybox.simulators.craft import Craft
+from greybox.simulators.make import twin
+from greybox.simulators.size import fly
+from greybox.simulators.statement import agreement
+from greybox.simulators.words import Status
+from scenarios.foreign.plant import MissingSimulator
+from scenarios.twins.written import FLYERS, Start
+from tests.simulators.identified import AERODYNAMICS, START, Array, identified, manoeuvre
+
+GRAVITY = {"pybullet": 9.8}
+NOT_SAID = {
+    **AERODYNAMICS,
+    "rotor_drag.k_y": 4e-5,
+    "rotational_damping.d_p": 0.02,
+    "ground_effect.k": 1.5,
+    "constant_force.f_x": 0.2,
+}
+
+
+def flown(target: str, folder: Path, hover: float, u: Array, *, rest: bool) -> Array:
+    late = "scipy" in sys.modules and os.environ.get("SCIPY_ARRAY_API") != "1"
+    if target == "drone-models" and late:
+        pytest.skip("drone-models wants SCIPY_ARRAY_API=1 before scipy is imported")
+    start = Start(rotors=np.full(4, hover), **START)
+    before = np.full((5, 4), hover)
+    try:
+        states = FLYERS[target](folder / target, start, u.T, before, 0.01, rest=rest)
+    except MissingSimulator as missing:
+        pytest.skip(str(missing))
+    return states[:, :13].T
+
+
+@pytest.mark.parametrize("target", ["pybullet", "jsbsim"])
+def test_what_it_says_whole_flies_alike(target: str, tmp_path: Path) -> None:
+    says = ("motor_lag", "rotor_asymmetry", "center_of", "products", "payload", "command", "thrust")
+    said = {k: v for k, v in AERODYNAMICS.items() if k.startswith(says)}
+    said |= {"products_of_inertia.Jxy": 2e-3}
+    if target == "jsbsim":
+        said |= {"rotational_damping.d_p": 0.02}
+    model = identified(said, gravity=9.8)
+    (statement,) = twin(model, [target], out=tmp_path).statements
+    assert {r.word.status for r in statement.rows} == {Status.SAID}
+    u = manoeuvre(statement.spoken.hover_nu)
+    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
+    apart = agreement(fly(Craft.of(model), START, u, 0.01)[:13], theirs)
+    assert max(apart.values()) < 0.01, apart
+
+
+@pytest.mark.parametrize("target", ["pybullet", "jsbsim"])
+def test_what_it_folds_flies_as_the_statement_says(target: str, tmp_path: Path) -> None:
+    model = identified(NOT_SAID, gravity=9.8)
+    (statement,) = twin(model, [target], out=tmp_path).statements
+    u = manoeuvre(statement.spoken.hover_nu)
+    theirs = flown(target, tmp_path, statement.spoken.hover_nu, u, rest=False)
+    apart = agreement(fly(statement.spoken, START, u, 0.01)[:13], theirs)
+    assert max(apart.values()) < 0.01, apart
+
+
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param("rotorpy", marks=pytest.mark.slow), "drone-models", "crazyflow", "pybullet"],
+)
+def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Path) -> None:
+    model = identified(NOT_SAID, gravity=GRAVITY.get(target, 9.80665))
+    (statement,) = twin(model, [target], out=tmp_path).statements
+    craft = Craft.of(model)
+    u = manoeuvre(craft.hover_nu)
+    ours = fly(craft, START, u, 0.01)[:13]
+    apart = agreement(ours, flown(target, tmp_path, craft.hover_nu, u, rest=True))
+    assert max(apart.values()) < 0.01, apart
+    without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
+    assert without["rate"] > 0.05, "what is left out can be seen"
+
+
+def test_nothing_is_left_over_where_everything_is_said(tmp_path: Path) -> None:
+    made = twin(identified({"motor_lag.tau": 0.05}), ["rotorpy", "mujoco", "crazyflow"])
+    assert not [n for n in made.files if n.endswith("rest.py")]
+    with_drag = twin(identified({"rotational_damping.d_p": 0.01}), ["rotorpy", "mujoco"])
+    assert [n for n in with_drag.files if n.endswith("rest.py")] == ["rotorpy/rest.py"]
+    assert "rest.py" in str(with_drag.files["rotorpy/LOST.txt"])
