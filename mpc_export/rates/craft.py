@@ -23,11 +23,12 @@ from mpc_export.mission.craft import GUSTS
 PLANT = "mpc_export.rates.craft:vehicle"
 OUTPUTS = ("p", "q", "r")
 CHANNELS = {
+    "thrust": ((1.0, "u1"), (1.0, "u2"), (1.0, "u3"), (1.0, "u4")),
     "roll": ((-1.0, "u1"), (-1.0, "u2"), (1.0, "u3"), (1.0, "u4")),
     "pitch": ((-1.0, "u1"), (1.0, "u2"), (1.0, "u3"), (-1.0, "u4")),
     "yaw": ((-1.0, "u1"), (1.0, "u2"), (-1.0, "u3"), (1.0, "u4")),
 }
-"""Inputs of the linear model as sums of commands."""
+"""Inputs of the linear model as sums of commands: all four directions, so that it misses nothing that is linear."""
 DT = 0.01
 SECONDS, FLIGHTS = 20.0, 3
 """Length of a training flight [s], and how many."""
@@ -53,24 +54,27 @@ def vehicle() -> Quadrotor:
     return x250(effects, process=GUSTS)
 
 
-def excitation() -> Excitation:
-    """Multisines at the mixer: turns, and climbs that change the thrust by a fifth (rms)."""
+def excitation(climbs: float = 4.0) -> Excitation:
+    """Multisines at the mixer: turns, and `climbs` [m/s^2 rms], by default enough to change the thrust by a fifth (rms)."""
 
     def sines(rms: float, low: float, high: float, offset: int) -> Multisine:
         return Multisine(rms=rms, low=low, high=high, count=32, offset=offset, stride=4)
 
     return Excitation(
         mixer={
-            "thrust": sines(4.0, 0.3, 4.0, 0), "roll": sines(12.0, 0.8, 10.0, 1), "pitch": sines(12.0, 0.8, 10.0, 2),
+            "thrust": sines(climbs, 0.3, 4.0, 0), "roll": sines(12.0, 0.8, 10.0, 1), "pitch": sines(12.0, 0.8, 10.0, 2),
             "yaw": sines(4.0, 0.4, 5.0, 3),
         }
     )  # fmt: skip
 
 
-def training_log(index: int, seconds: float = SECONDS) -> dict[str, FloatArray]:
-    """Columns of one training flight."""
-    plant = vehicle()
+def training_log(
+    index: int, seconds: float = SECONDS, plant: Quadrotor | None = None, climbs: float = 4.0
+) -> dict[str, FloatArray]:
+    """Columns of one training flight of `plant`, by default the craft."""
+    plant = plant or vehicle()
     log = fly(
-        plant, controller_for(plant), Task().path, excitation(), seconds, dt=DT, seed=TRAINING_SEEDS[index], warm_up=1.0
-    )
+        plant, controller_for(plant), Task().path, excitation(climbs), seconds, dt=DT, seed=TRAINING_SEEDS[index],
+        warm_up=1.0,
+    )  # fmt: skip
     return {n: v for n, v in log.items() if not n.startswith("omega")}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from greybox.data import dataset_from_arrays
+from greybox.data import Segment, dataset_from_arrays
 from greybox.estimation.linear.fit import fit_linear
 from greybox.estimation.linear.records import Record
 from greybox.files import read_json, write_json
@@ -16,6 +16,7 @@ from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.output_residual import OutputHybrid, fit_output_residual
+from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import make_folder
 from mpc_export.rates.craft import CHANNELS, DT, FLIGHTS, OUTPUTS, SECONDS, training_log, vehicle
 
@@ -41,6 +42,14 @@ def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     logs = [training_log(i) for i in range(FLIGHTS)]
     for i, log in enumerate(logs):
         write_log(out / f"training{i + 1}.csv", log)
+    hybrid = fitted(logs, say)
+    hybrid.save(file)
+    write_json(done, settings)
+    return hybrid
+
+
+def fitted(logs: Sequence[Mapping[str, FloatArray]], say: Callable[[str], None]) -> OutputHybrid:
+    """A linear model of p, q, r, and a Gaussian process on what it leaves; `logs` are columns of flights, `t` among them."""
     say(f"a linear model of order {ORDER} of p, q, r")
     records = [
         Record(
@@ -51,16 +60,17 @@ def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     ]  # fmt: skip
     linear = fit_linear(records, ORDER, dt=DT, inputs=list(CHANNELS), outputs=list(OUTPUTS), name="rates").model
     say(f"a Gaussian process of {POINTS} points on what it leaves")
+    base = BasePredictor(model=linear, outputs=OUTPUTS, channels=CHANNELS)
+    return fit_output_residual(base, segments_of_logs(logs), points=POINTS, seed=0)
+
+
+def segments_of_logs(logs: Sequence[Mapping[str, FloatArray]]) -> list[Segment]:
+    """Flights as segments, named training1 and so on."""
     data = [
         dataset_from_arrays(log["t"], {n: v for n, v in log.items() if n != "t"}, name=f"training{i + 1}")
         for i, log in enumerate(logs)
     ]
-    segments = [s for d in data for flight in d for s in flight.segments]
-    base = BasePredictor(model=linear, outputs=OUTPUTS, channels=CHANNELS)
-    hybrid = fit_output_residual(base, segments, points=POINTS, seed=0)
-    hybrid.save(file)
-    write_json(done, settings)
-    return hybrid
+    return [s for d in data for flight in d for s in flight.segments]
 
 
 def vehicle_card(out: Path) -> Vehicle:
