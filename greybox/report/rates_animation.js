@@ -3,7 +3,7 @@
   const root = document.getElementById('rates');
   const data = JSON.parse(document.getElementById('rates-data').textContent);
   const NS = root.querySelector('svg').namespaceURI;
-  const PAST = 1.2, DEVIATIONS = 1.96, TOP = 1.35 * data.limit;
+  const PAST = 0.6, DEVIATIONS = 1.96, TOP = 1.35 * data.limit;
   const hidden = new Set();
   const one = (id) => root.querySelector('#' + id);
   const points = (list) => list.map((p) => p[0].toFixed(1) + ',' + p[1].toFixed(1)).join(' ');
@@ -31,7 +31,7 @@
     });
     make(svg, 'line', { x1: X(0), x2: X(0), y1: T, y2: H - B, class: 'now' });
     make(svg, 'text', { x: L, y: H - 8 }).textContent = `${PAST} s ago`;
-    make(svg, 'text', { x: X(0), y: H - 8, 'text-anchor': 'middle' }).textContent = 'now';
+    make(svg, 'text', { x: X(0) - 4, y: H - 8, 'text-anchor': 'end' }).textContent = 'now';
     make(svg, 'text', { x: W - R, y: H - 8, 'text-anchor': 'end' }).textContent = `planned, ${data.ahead} s`;
     const band = make(svg, 'polygon', { class: 'band' }), plan = make(svg, 'polyline', { class: 'plan' });
     const asked = make(svg, 'polyline', { class: 'wanted' });

@@ -43,6 +43,8 @@ def rates_report(content: Mapping[str, Any], traces: Traces, *, stage: float) ->
         if panels:
             report.figures(panels, key=_key(content), caption="Body rates of the first flight where they are highest. "
                            "Dashed lines: the limits.")  # fmt: skip
+        report.heading("What to do next")
+        report.bullets(content["next"])
     data = _packed(content, traces, stage)
     if data["flights"]:
         report.section("One flight, and what the tube planned")

@@ -167,7 +167,7 @@ def summary(rates: Rates, rows: Sequence[Row], seeds: Sequence[int], command: st
         "tuning": {n: {"touched": rates.touched[n], "kappa": k, "flights": TUNING} for n, k in rates.kappa.items()},
         "controllers": {n: _controller(n, [r for r in rows if r["controller"] == n], rates) for n in TEXTS},
     }  # fmt: skip
-    return {**out, "verdict": verdict(out), "versions": library_versions()}
+    return {**out, "verdict": verdict(out), "next": advice(out, file), "versions": library_versions()}
 
 
 def beyond(row: Mapping[str, Any]) -> bool:
@@ -215,6 +215,17 @@ def verdict(content: Mapping[str, Any]) -> str:
         f"{tube['beyond']['count']} of {tube['flights']} did (95 % interval {low:.0f} to {high:.0f} %). "
         f"Beyond it went {others}."
     )
+
+
+def advice(content: Mapping[str, Any], file: Path) -> list[str]:
+    """What to do next."""
+    tube = content["controllers"]["tube"]
+    out = []
+    if tube["flights"] and tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]:
+        out.append("So few flights leave the share open: fly more with --flights; the ones that are there are kept.")
+    out.append(f"The model that plans is a file: greybox export {file} --with covariance,filter writes it as C.")
+    out.append("A craft of your own: greybox linear, then greybox learn on what it wrote, and the same export.")
+    return out
 
 
 def format_table(content: Mapping[str, Any]) -> str:
