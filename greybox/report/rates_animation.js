@@ -32,7 +32,7 @@
     make(svg, 'line', { x1: X(0), x2: X(0), y1: T, y2: H - B, class: 'now' });
     make(svg, 'text', { x: L, y: H - 8 }).textContent = `${PAST} s ago`;
     make(svg, 'text', { x: X(0) - 4, y: H - 8, 'text-anchor': 'end' }).textContent = 'now';
-    make(svg, 'text', { x: W - R, y: H - 8, 'text-anchor': 'end' }).textContent = `planned, ${data.ahead} s`;
+    make(svg, 'text', { x: W - R, y: H - 8, 'text-anchor': 'end' }).textContent = `+${data.ahead} s`;
     const band = make(svg, 'polygon', { class: 'band' }), plan = make(svg, 'polyline', { class: 'plan' });
     const asked = make(svg, 'polyline', { class: 'wanted' });
     const lines = {};
