@@ -111,7 +111,7 @@ def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:
         values = [row["ratio"][j] for row in rows.values()]
         axis.bar(places + 0.2 * (j - 1.5), values, width=0.18, color=f"C{j}", label=f"{0.01 * k:g} s ahead")
     axis.axhline(1.0, color="k", lw=0.8)
-    axis.set_xticks(places, list(rows), fontsize=8)
+    axis.set_xticks(places, [n.replace(", ", ",\n") for n in rows], fontsize=8)
     axis.set_ylabel("error, hybrid over linear")
     axis.set_ylim(0.0, 1.35)
     axis.legend(ncol=4, fontsize=8, loc="upper left")
