@@ -20,6 +20,13 @@ OTHERS: dict[str, Any] = {
 def run(arguments: argparse.Namespace) -> int:
     """Identify, fly, report; what was flown is reported even when interrupted. Returns 0."""
     from greybox.errors import GreyboxError
+
+    for name, default in OTHERS.items():
+        if getattr(arguments, name) != default:
+            raise GreyboxError(
+                f"--{name.replace('_', '-')} belongs to a model that flies a course", got="rates",
+                fix="leave it out, or name a model.json",
+            )  # fmt: skip
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.report.rates_report import rates_report
     from mpc_export.rates.campaign import (
@@ -35,12 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from mpc_export.rates.craft import DT
 
-    for name, default in OTHERS.items():
-        if getattr(arguments, name) != default:
-            raise GreyboxError(
-                f"--{name.replace('_', '-')} belongs to a model that flies a course", got="rates",
-                fix="leave it out, or name a model.json",
-            )  # fmt: skip
     quiet, out = arguments.json == "-", Path(arguments.out)
     began = time.perf_counter()
 

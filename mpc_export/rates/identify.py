@@ -16,6 +16,7 @@ from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
 from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.output_residual import OutputHybrid, fit_output_residual
+from greybox.residual.train import check_extra
 from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import make_folder
 from mpc_export.rates.craft import CHANNELS, DT, FLIGHTS, OUTPUTS, SECONDS, training_log, vehicle
@@ -36,6 +37,7 @@ def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     done, file = out / "identified.json", out / "hybrid.json"
     if done.exists() and file.exists() and read_json(done) == settings:
         return OutputHybrid.load(file)
+    check_extra()
     make_folder(out)
     write_vehicle(out / "vehicle.toml", vehicle(), errors=ERRORS)
     say(f"flying {FLIGHTS} training flights of {SECONDS:g} s")
