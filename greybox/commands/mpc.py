@@ -19,12 +19,13 @@ def add(subparsers: Any) -> None:
         help="fly an identified model through a course with limits, with and without a tube",
         description="Fly controllers on an identified model through a course whose limits bind, many seeded flights "
         "each: the model alone, with limits tightened by a tube, with one constant back-off, and a cascade of "
-        "PID loops. Writes "
+        "PID loops. `rates` flies a rate controller on a linear model with a Gaussian process instead. Writes "
         "flights.jsonl (kept and resumed), mpc.json and report.html. Exit code 0: done, 1: refused, "
         "as the model is not usable, 2: bad input, 130: interrupted (the report shows what was flown until then).",
     )
-    p.add_argument("subject", metavar="MODEL.json|demo", help="model file of `greybox fit` or `learn`; demo: identify a "
-                   "simulated vehicle with hidden effects from one flight first")  # fmt: skip
+    p.add_argument("subject", metavar="MODEL.json|demo|rates", help="model file of `greybox fit` or `learn`; demo: "
+                   "identify a simulated vehicle with hidden effects from one flight first; rates: a linear model of the "
+                   "body rates with a process on its residual")  # fmt: skip
     p.add_argument("--plant", metavar="MODULE:ATTRIBUTE", help="the vehicle that is flown, with reset, step, "
                    "measure and truth (default: "
                    "the model itself, disturbed; Python code that is run, only what you trust)")  # fmt: skip
@@ -71,6 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.files import dump_json, write_atomic, write_json
 
     _check(arguments)
+    if arguments.subject == "rates":
+        from greybox.commands.mpc_rates import run as rates
+
+        return rates(arguments)
     from greybox.commands.judgement import gate
     from greybox.commands.mcap_option import need_mcap
     from greybox.errors import GreyboxError

@@ -11,7 +11,7 @@ from typing import Any
 TEMPLATES = {
     "crazyflie": "Crazyflie 2.1, 27 g, measured by Förster (2015)",
     "racer250": "250 mm racing quadrotor of 0.75 kg (Agilicious, 2022)",
-    "duckiedrone": "Duckiedrone-like, plus, 0.9 kg (numbers assumed)",
+    "duckiedrone": "Duckiedrone DD21, 0.635 kg, estimated by Ghoul (2026)",
     "x": "any quadrotor in X, sized by mass, arm and hover command",
     "plus": "any quadrotor in plus, sized by mass, arm and hover command",
 }

@@ -57,17 +57,29 @@ class CascadeController:
 
     def __call__(self, seen: Mapping[str, float], goal: SampledPath, dt: float) -> FloatArray:
         """Commands (n,) in [u_min, u_max] for the next `dt` seconds."""
-        quaternion = np.array([[seen[n] for n in ("qw", "qx", "qy", "qz")]])
-        # Columns: the body's axes in the world.
-        now = np.column_stack([numeric("rotate", quaternion, axis[None])[0] for axis in np.eye(3)])
-        wanted = self._acceleration(seen, goal, dt)
-        specific, error = _attitude(now, wanted, float(goal.yaw[0]))
-        angular = self._angular(seen, error, float(goal.yaw_rate[0]), dt)
+        specific, rates = self.asked(seen, goal, dt)
+        angular = self._angular(seen, rates, dt)
         thrust = np.clip(self.vehicle.mass.value * specific, 0.0, self.thrust_max)
         moments = np.diag(np.array(self.vehicle.inertia)) * angular
         forces = self.mixer @ np.concatenate([[thrust], moments])
         actuator = self.vehicle.actuator
         return np.clip(self._command(forces), actuator.u_min, actuator.u_max)
+
+    def asked(self, seen: Mapping[str, float], goal: SampledPath, dt: float) -> tuple[float, FloatArray]:
+        """What the outer loops ask of a rate controller: specific thrust [m/s^2] and body rates (3,) [rad/s], each within
+        `rate_max`."""
+        quaternion = np.array([[seen[n] for n in ("qw", "qx", "qy", "qz")]])
+        # Columns: the body's axes in the world.
+        now = np.column_stack([numeric("rotate", quaternion, axis[None])[0] for axis in np.eye(3)])
+        wanted = self._acceleration(seen, goal, dt)
+        specific, error = _attitude(now, wanted, float(goal.yaw[0]))
+        rates = np.array(self.gains.attitude) * error + np.array([0.0, 0.0, float(goal.yaw_rate[0])])
+        return specific, np.clip(rates, -self.gains.rate_max, self.gains.rate_max)
+
+    def collective(self, specific: float) -> float:
+        """The command that every rotor needs for a specific thrust [m/s^2], within what the actuators can."""
+        thrust = float(np.clip(self.vehicle.mass.value * specific, 0.0, self.thrust_max))
+        return float(self._command(np.array([thrust / self.vehicle.n_rotors]))[0])
 
     def _command(self, thrust: FloatArray) -> FloatArray:
         """The thrust map inverted on its rising branch."""
@@ -92,11 +104,10 @@ class CascadeController:
         shrink = float(np.clip(up * np.tan(g.tilt_max) / (side + 1e-9), 0.0, 1.0))
         return np.array([wanted[0] * shrink, wanted[1] * shrink, up])
 
-    def _angular(self, seen: Mapping[str, float], error: FloatArray, yaw_rate: float, dt: float) -> FloatArray:
+    def _angular(self, seen: Mapping[str, float], rates: FloatArray, dt: float) -> FloatArray:
         """Wanted angular acceleration, body [rad/s^2]."""
         g = self.gains
-        goal = np.array(g.attitude) * error + np.array([0.0, 0.0, yaw_rate])
-        slip = np.clip(goal, -g.rate_max, g.rate_max) - np.array([seen[n] for n in ("p", "q", "r")])
+        slip = rates - np.array([seen[n] for n in ("p", "q", "r")])
         self.turn = np.clip(self.turn + dt * slip, -3.0, 3.0)
         out = np.array(g.rate) * slip + g.rate_integral * self.turn
         return np.array([out[0], out[1], float(np.clip(out[2], -25.0, 25.0))])

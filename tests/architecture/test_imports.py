@@ -89,6 +89,8 @@ PLANTS = ("greybox.plants", "greybox.excitation", "scenarios.plants")
 DEMO = (
     "mpc_export/mission/craft.py",
     "mpc_export/mission/demo.py",
+    "mpc_export/rates/craft.py",
+    "mpc_export/rates/identify.py",
     "greybox/commands/demo.py",
     "greybox/commands/missing_effect.py",
     "greybox/commands/selftest_checks.py",

@@ -1,0 +1,77 @@
+"""`greybox mpc rates`: the paper's idea flown, a rate controller on a linear model with a Gaussian process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from greybox.commands.command_line import typed
+
+OTHERS: dict[str, Any] = {
+    "plant": None, "log": [], "course": "mpc_export.mission:OBSTACLE_COURSE", "pace": None, "jobs": 1,
+    "risk": "rehearsal", "even_so": False,
+}  # fmt: skip
+"""Options of a model that flies a course, with the values that they have where nobody gave them."""
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Identify, fly, report; what was flown is reported even when interrupted. Returns 0."""
+    from greybox.errors import GreyboxError
+
+    for name, default in OTHERS.items():
+        if getattr(arguments, name) != default:
+            raise GreyboxError(
+                f"--{name.replace('_', '-')} belongs to a model that flies a course", got="rates",
+                fix="leave it out, or name a model.json",
+            )  # fmt: skip
+    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.report.rates_report import rates_report
+    from mpc_export.rates.campaign import (
+        TEXTS,
+        WATCHED,
+        flights,
+        format_table,
+        judging,
+        kept,
+        prepare,
+        read_traces,
+        summary,
+    )
+    from mpc_export.rates.craft import DT
+
+    quiet, out = arguments.json == "-", Path(arguments.out)
+    began = time.perf_counter()
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(f"  {time.perf_counter() - began:4.0f} s  {text}", file=sys.stderr, flush=True)
+
+    flown = prepare(out, arguments.level, say)
+    seeds = judging(arguments.flights, arguments.seed)
+    watched = seeds[:WATCHED]
+
+    def report() -> dict[str, Any]:
+        content = summary(flown, kept(flown, list(TEXTS), seeds), seeds, typed("mpc", "greybox mpc rates"))
+        write_json(out / "mpc_rates.json", content)
+        write_atomic(out / "report.html", rates_report(content, read_traces(flown, watched), stage=DT))
+        return content
+
+    arguments.kept = f"what was flown is in {out}; the same command goes on"
+    try:
+        flights(flown, list(TEXTS), seeds, say=say, watched=watched)
+    except KeyboardInterrupt:
+        report()
+        raise
+    content = report()
+    if quiet:
+        sys.stdout.write(dump_json(content))
+        return 0
+    if arguments.json:
+        write_json(arguments.json, content)
+    print(format_table(content))
+    print(content["verdict"])
+    print(f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({time.perf_counter() - began:.0f} s)")
+    return 0

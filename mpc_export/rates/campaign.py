@@ -1,0 +1,248 @@
+"""Flights of `greybox mpc rates`: five rate controllers with the same seeds, kept row by row, and what they say together.
+
+    pid            the rate loops of the vehicle file
+    linear         predictive control on the linear model, plans up to the limits
+    linear-tube    the same, tightened by the linear model's own covariance
+    hybrid         predictive control on the linear model with its process
+    tube           the same, tightened by the covariance with the process's variance
+
+Weights are one set for all, chosen on training seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from greybox.files import append_json_line, checksum, file_sha256, read_json, read_json_lines, write_json
+from greybox.model.identified import library_versions
+from greybox.progress import TimeLeft
+from greybox.residual.output_residual import OutputHybrid
+from mpc_export.mission import JUDGING_SEEDS, TRAINING_SEEDS
+from mpc_export.mission.summary import exact
+from mpc_export.predictors import predictor_model
+from mpc_export.rates.controller import RateController, RateProblem
+from mpc_export.rates.craft import FLIGHTS, OUTPUTS, PLANT, Task, vehicle
+from mpc_export.rates.flight import Pilot, fly, outer_loops
+from mpc_export.rates.identify import identify, vehicle_card
+from mpc_export.tube.risk import kappa
+
+TEXTS = {
+    "pid": "PID loops that know the vehicle file", "linear": "linear model, no tightening",
+    "linear-tube": "linear model, tightened by its own covariance",
+    "hybrid": "linear model and Gaussian process, no tightening",
+    "tube": "linear model and Gaussian process, tightened by their covariance",
+}  # fmt: skip
+PLAIN = {"linear-tube": "linear", "tube": "hybrid"}
+"""On whose training flights the touched limits of a tightened controller are counted."""
+TUNING = 4
+"""Training flights on which they are."""
+WATCHED = 2
+"""So many flights are kept for the animation."""
+Row = dict[str, Any]
+
+
+@dataclass(kw_only=True)
+class Rates:
+    """Everything that flies: models, plant, controllers by name with their standard deviations `kappa`."""
+
+    out: Path
+    task: Task
+    hybrid: OutputHybrid
+    level: float
+    kappa: dict[str, float]
+    touched: dict[str, float]
+
+    def __post_init__(self) -> None:
+        problem = RateProblem(limit=self.task.limit)
+        self.plant = vehicle()
+        card = vehicle_card(self.out / "models")
+        planners = {
+            "linear": RateController(predictor_model(self.hybrid.base), problem),
+            "hybrid": RateController(predictor_model(self.hybrid), problem),
+        }
+        self._pilots = {
+            n: Pilot(outer=outer_loops(card, self.task), inner=planners.get(PLAIN.get(n, n))) for n in TEXTS
+        }
+        self._key = checksum([repr(self.task), repr(problem), PLANT, file_sha256(self.out / "models" / "hybrid.json")])
+
+    def key(self, name: str) -> str:
+        """What a row must have been flown with to count."""
+        return checksum([self._key, name, self.kappa.get(name, 0.0)])[:16]
+
+    def fly(self, name: str, seed: int, *, watch: bool = False) -> Row:
+        """One flight of a controller."""
+        pilot = self._pilots[name]
+        if pilot.inner is not None:
+            pilot.inner.kappa = self.kappa.get(name, 0.0)
+        return {"controller": name, "key": self.key(name), **fly(pilot, self.plant, self.task, seed, watch=watch)}
+
+
+def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | None = None) -> Rates:
+    """Models from training flights, and back-offs from the limits that untightened training flights touch (Boole)."""
+    found = Rates(
+        out=out, task=task or Task(), hybrid=identify(out / "models", say), level=level, kappa={}, touched={}
+    )
+    for tightened, plain in PLAIN.items():
+        say(f"counting limits that {plain} touches on {TUNING} training flights")
+        seeds = TRAINING_SEEDS[FLIGHTS : FLIGHTS + TUNING]
+        pairs = float(np.mean([r["touched"] for r in flights(found, [plain], seeds, say=say, log="tuning.jsonl")]))
+        found.touched[tightened] = pairs
+        found.kappa[tightened] = kappa(level, max(pairs, 1.0))
+    return found
+
+
+def judging(count: int, seed: int) -> range:
+    """Seeds that judge."""
+    first = JUDGING_SEEDS[0] * (1 + seed)
+    return range(first, first + count)
+
+
+def kept(rates: Rates, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl") -> list[Row]:
+    """Rows of an earlier run that still count."""
+    path = rates.out / log
+    keys = {n: rates.key(n) for n in names}
+    rows = read_json_lines(path.read_text(encoding="utf-8")) if path.exists() else []
+    good = {(r["controller"], r["seed"]): r for r in rows if keys.get(str(r.get("controller"))) == r.get("key")}
+    return [good[n, s] for s in seeds for n in names if (n, s) in good]
+
+
+def trace_file(rates: Rates, name: str, seed: int) -> Path:
+    """Where the animation's part of a flight is kept."""
+    return rates.out / "traces" / f"{name}_{seed}_{rates.key(name)}.json"
+
+
+def flights(
+    rates: Rates, names: Sequence[str], seeds: Sequence[int], *, say: Callable[[str], None], log: str = "flights.jsonl",
+    watched: Sequence[int] = (),
+) -> list[Row]:  # fmt: skip
+    """Rows of all controllers and seeds, seed by seed; each is on the disk before the next flight begins."""
+    rows = {(r["controller"], r["seed"]): r for r in kept(rates, names, seeds, log)}
+    todo = [
+        (n, s) for s in seeds for n in names
+        if (n, s) not in rows or (s in watched and not trace_file(rates, n, s).exists())
+    ]  # fmt: skip
+    total = len(names) * len(seeds)
+    done = before = total - len(todo)
+    left = TimeLeft()
+    for row in _flown(rates, todo, watched):
+        trace = row.pop("trace", None)
+        name, seed = row["controller"], row["seed"]
+        if trace is not None:
+            write_json(trace_file(rates, name, seed), trace)
+        append_json_line(rates.out / log, row)
+        rows[name, seed] = row
+        done += 1
+        if done % 10 == 0 or done == total:
+            say(f"{done} of {total} flights{left.after((done - before) / len(todo))}")
+    return [rows[n, s] for s in seeds for n in names]
+
+
+def _flown(rates: Rates, todo: Sequence[tuple[str, int]], watched: Sequence[int]) -> Iterator[Row]:
+    for name, seed in todo:
+        yield rates.fly(name, seed, watch=seed in watched)
+
+
+def read_traces(rates: Rates, seeds: Sequence[int]) -> dict[int, dict[str, Any]]:
+    """{seed: {controller: trace}} of the watched flights that were flown."""
+    return {
+        s: {n: read_json(trace_file(rates, n, s)) for n in TEXTS if trace_file(rates, n, s).exists()} for s in seeds
+    }
+
+
+def summary(rates: Rates, rows: Sequence[Row], seeds: Sequence[int], command: str) -> dict[str, Any]:
+    """The content of mpc_rates.json (greybox.mpc_rates/1)."""
+    file = rates.out / "models" / "hybrid.json"
+    out: dict[str, Any] = {
+        "schema": "greybox.mpc_rates/1", "command": command, "level": rates.level,
+        "plant": PLANT, "model": rates.hybrid.name, "model_sha256": file_sha256(file),
+        "features": list(rates.hybrid.features),
+        "limit": rates.task.limit, "seconds": rates.task.seconds, "outputs": list(OUTPUTS),
+        "seeds": {"first": min(seeds), "count": len(seeds)},
+        "tuning": {n: {"touched": rates.touched[n], "kappa": k, "flights": TUNING} for n, k in rates.kappa.items()},
+        "controllers": {n: _controller(n, [r for r in rows if r["controller"] == n], rates) for n in TEXTS},
+    }  # fmt: skip
+    return {**out, "verdict": verdict(out), "next": advice(out, file), "versions": library_versions()}
+
+
+def beyond(row: Mapping[str, Any]) -> bool:
+    """Whether a true rate went beyond the limit, or the craft was lost."""
+    return bool(row["crashed"] or row["beyond"])
+
+
+def _controller(name: str, rows: Sequence[Row], rates: Rates) -> dict[str, Any]:
+    n, hits = len(rows), sum(map(beyond, rows))
+    solve = np.concatenate([r["solve_ms"] for r in rows]) if rows else np.zeros(0)
+
+    def mean(what: str) -> float | None:
+        return float(np.mean([r[what] for r in rows])) if rows else None
+
+    return {
+        "text": TEXTS[name], "kappa": rates.kappa.get(name, 0.0), "flights": n,
+        "beyond": {"count": hits, "share": hits / n if n else None, "interval": exact(hits, n)},
+        "p_value": binomtest(hits, n, rates.level, alternative="greater").pvalue if n else None,
+        "crashed": sum(bool(r["crashed"]) for r in rows),
+        "samples_beyond": sum(r["beyond"] for r in rows) / max(1, sum(r["samples"] for r in rows)),
+        "worst": max((max(r["worst"]) for r in rows), default=None), "rmse": mean("rmse"), "away": mean("away"),
+        "failures": sum(r["failures"] for r in rows),
+        "solve_ms": {
+            "median": float(np.median(solve)) if len(solve) else None,
+            "p99": float(np.quantile(solve, 0.99)) if len(solve) else None,
+        },
+    }  # fmt: skip
+
+
+def verdict(content: Mapping[str, Any]) -> str:
+    """One or two sentences: was the promise kept, and what did the others do?"""
+    found = content["controllers"]
+    tube = found["tube"]
+    if not tube["flights"]:
+        return "The tube has not flown yet."
+    low, high = (100 * v for v in tube["beyond"]["interval"])
+    broke = tube["p_value"] < 0.05
+    begin = "The tube broke its promise" if broke else "The tube kept its promise"
+    begin += "" if broke or high <= 100 * content["level"] else " so far"
+    others = ", ".join(
+        f"{n} in {c['beyond']['count']} of {c['flights']}" for n, c in found.items() if n != "tube" and c["flights"]
+    )
+    return (
+        f"{begin}: at most {100 * content['level']:g} % of flights may go beyond a body rate of {content['limit']:g} rad/s, "
+        f"{tube['beyond']['count']} of {tube['flights']} did (95 % interval {low:.0f} to {high:.0f} %). "
+        f"Beyond it went {others}."
+    )
+
+
+def advice(content: Mapping[str, Any], file: Path) -> list[str]:
+    """What to do next."""
+    tube = content["controllers"]["tube"]
+    out = []
+    if tube["flights"] and tube["beyond"]["interval"][0] <= content["level"] < tube["beyond"]["interval"][1]:
+        out.append("So few flights leave the share open: fly more with --flights; the ones that are there are kept.")
+    out.append(f"The model that plans is a file: greybox export {file} --with covariance,filter writes it as C.")
+    out.append("A craft of your own: greybox linear, then greybox learn on what it wrote, and the same export.")
+    return out
+
+
+def format_table(content: Mapping[str, Any]) -> str:
+    """The table for a terminal."""
+    lines = [
+        f"{'controller':11s} {'flights':>7s} {'beyond':>6s} {'95 % interval':>14s} {'time beyond':>11s} "
+        f"{'worst [rad/s]':>13s} {'RMSE [rad/s]':>12s} {'off path [m]':>12s} {'median/99 % [ms]':>16s}"
+    ]
+    for name, c in content["controllers"].items():
+        if not c["flights"]:
+            lines.append(f"{name:11s} {0:7d}")
+            continue
+        low, high = (100 * v for v in c["beyond"]["interval"])
+        t = c["solve_ms"]
+        lines.append(
+            f"{name:11s} {c['flights']:7d} {c['beyond']['count']:6d} {low:5.0f} ..{high:4.0f} % "
+            f"{100 * c['samples_beyond']:9.1f} % {c['worst']:13.2f} {c['rmse']:12.3f} {c['away']:12.2f} "
+            f"{t['median']:8.1f}/{t['p99']:.1f}"
+        )
+    return "\n".join(lines)
