@@ -169,19 +169,21 @@ class Flights:
         self,
         structure: Iterable[str],
         starts: Sequence[Start] = (),
+        *,
+        rough: bool = False,
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared)."""
+        not say is as declared); `rough`: as near as fits are that are only compared."""
         known = self._known.get(frozenset(structure))
-        if known is not None and known.exact:
+        if known is not None and (known.exact or (rough and known.comparable)):
             return known
         again = Task(
             structure=frozenset(structure),
             starts=tuple(starts) if known is None else (known.known,),
-            tolerance=self.effort.exact,
+            tolerance=self.effort.rough if rough else self.effort.exact,
             iterations=self.effort.iterations,
         )
-        return self._carried_out([again], exact=True)[0]
+        return self._carried_out([again], exact=not rough)[0]
 
     def contest(self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted) -> list[Fitted]:
         """Structures that are held against each other and against `than`, each from the likeliest of
