@@ -39,7 +39,7 @@ PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
 BEYOND = 4.0
-"""Depth of an optimum, in units of what the full step towards it promises, that is not expected once `PACE` steps were taken."""
+"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
