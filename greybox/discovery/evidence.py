@@ -28,7 +28,7 @@ from greybox.estimation.initialisation import noise_start
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solver import Objective, Progress
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -203,13 +203,15 @@ class Flights:
             return [self._known[s] for s, _ in asked]
 
         best = max([than, *found()], key=lambda f: f.log_evidence)
+        target = best.value.likelihood + e.behind
         on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
+        on = [f for f in on if f.value.likelihood - target <= BEYOND * f.status.decrement]
         goes_on = Task(
             structure=frozenset(),
             starts=(),
             tolerance=e.rough,
             iterations=e.iterations - e.opening,
-            target=best.value.likelihood + e.behind,
+            target=target,
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
         best = max([than, *found()], key=lambda f: f.log_evidence)
