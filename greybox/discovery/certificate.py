@@ -127,14 +127,16 @@ def certificates(
     """Name -> certificate, of every name of `rivals` in the structure `at`. A rival whose evidence
     on the flights that taught is hopelessly behind is not asked, but for doing without the name."""
     behind = judges[0].both.effort.behind
-    own = [_predictive(at, at, split) for split in judges]
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
             if rival.instead and rival.fitted.log_evidence < at.log_evidence - behind:
                 continue
-            found[rival.instead] = _log_e(at, rival, own, judges, bar)
+            log_e = _log_e(at, rival, judges, bar, rough=True)
+            if not np.isfinite(bar) or abs(log_e - bar) < behind:
+                log_e = _log_e(at, rival, judges, bar)
+            found[rival.instead] = log_e
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
         evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
@@ -145,19 +147,17 @@ def certificates(
 
 
 def _log_e(
-    at: Fitted,
-    rival: Rival,
-    own: Sequence[tuple[Fitted, Fitted]],
-    judges: Sequence[Split],
-    bar: float,
+    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, *, rough: bool = False
 ) -> float:
-    """Log e-value against one rival; below it where the strict one alone decides."""
+    """Log e-value against one rival; below it where the strict one alone decides. `rough`: of fits
+    that stop a tenth before their optima, which is enough far from the bar."""
+    own = [_predictive(at, at, split, rough) for split in judges]
     if not all(_found(*fits) for fits in own):  # a fit that stopped early may be too likely or not
         return -np.inf
     gained = [both.log_evidence - first.log_evidence for first, both in own]
     known = rival.fitted.known
     start = [known, {**at.known, **known}]
-    worst = [s.judge.fit(rival.fitted.structure, start) for s in judges]
+    worst = [s.judge.fit(rival.fitted.structure, start, rough=rough) for s in judges]
     strict = -np.inf
     if _found(*worst):
         strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
@@ -165,7 +165,7 @@ def _log_e(
         return strict - float(np.log(2))
     told = []
     for g, split in zip(gained, judges, strict=True):
-        first, both = _predictive(rival.fitted, at, split)
+        first, both = _predictive(rival.fitted, at, split, rough)
         if not _found(first, both):
             return _mean([strict, -np.inf])
         keys = _keys(both, split, rival.instead)
@@ -184,12 +184,14 @@ def _mean(logs: Sequence[float]) -> float:
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
-def _predictive(fitted: Fitted, at: Fitted, split: Split) -> tuple[Fitted, Fitted]:
+def _predictive(
+    fitted: Fitted, at: Fitted, split: Split, rough: bool
+) -> tuple[Fitted, Fitted]:
     """A structure on the flights that taught, and on all."""
     known = fitted.known
     starts = [known] if fitted is at else [known, {**at.known, **known}]
-    first = split.first.fit(fitted.structure, starts)
-    return first, split.both.fit(fitted.structure, [known, first.known])
+    first = split.first.fit(fitted.structure, starts, rough=rough)
+    return first, split.both.fit(fitted.structure, [known, first.known], rough=rough)
 
 
 def _keys(both: Fitted, split: Split, causes: Sequence[str]) -> list[Key]:

@@ -28,7 +28,7 @@ from greybox.estimation.initialisation import noise_start
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import Problem, Value, make_problem
 from greybox.estimation.solver import Objective, Progress
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt
 from greybox.estimation.status import Code, Status
 from greybox.symbolic import BoolArray, FloatArray
 
@@ -169,19 +169,21 @@ class Flights:
         self,
         structure: Iterable[str],
         starts: Sequence[Start] = (),
+        *,
+        rough: bool = False,
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared)."""
+        not say is as declared); `rough`: as near as fits are that are only compared."""
         known = self._known.get(frozenset(structure))
-        if known is not None and known.exact:
+        if known is not None and (known.exact or (rough and known.comparable)):
             return known
         again = Task(
             structure=frozenset(structure),
             starts=tuple(starts) if known is None else (known.known,),
-            tolerance=self.effort.exact,
+            tolerance=self.effort.rough if rough else self.effort.exact,
             iterations=self.effort.iterations,
         )
-        return self._carried_out([again], exact=True)[0]
+        return self._carried_out([again], exact=not rough)[0]
 
     def contest(self, asked: Sequence[tuple[Structure, Sequence[Start]]], than: Fitted) -> list[Fitted]:
         """Structures that are held against each other and against `than`, each from the likeliest of
@@ -201,13 +203,15 @@ class Flights:
             return [self._known[s] for s, _ in asked]
 
         best = max([than, *found()], key=lambda f: f.log_evidence)
+        target = best.value.likelihood + e.behind
         on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
+        on = [f for f in on if f.value.likelihood - target <= BEYOND * f.status.decrement]
         goes_on = Task(
             structure=frozenset(),
             starts=(),
             tolerance=e.rough,
             iterations=e.iterations - e.opening,
-            target=best.value.likelihood + e.behind,
+            target=target,
         )
         self._carried_out([replace(goes_on, structure=f.structure, starts=(f.known,)) for f in on])
         best = max([than, *found()], key=lambda f: f.log_evidence)

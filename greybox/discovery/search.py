@@ -96,7 +96,7 @@ class Search:
             # What is not felt alone can only explain what is there and has no name. What acts with
             # another only (a wind with a drag) is offered before others bend into its place.
             silent = [p for p in unfelt(scores, self.flights) if not gains or len(p.causes) > 1]
-            fits += self.flights.contest(self._moves(at, silent), at)
+            fits += self.flights.contest(self._moves(at, silent), _likeliest(at, fits))
         return self._best(at, fits, scores)
 
     def _holds_something(self, at: Fitted) -> bool:
@@ -115,7 +115,7 @@ class Search:
             gained = max((self.score(f) - self.score(at) for f in fits), default=0.0)
             if gained > 0 and gained >= self._net(p):
                 break
-            fits += self.flights.contest(self._moves(at, [p]), at)
+            fits += self.flights.contest(self._moves(at, [p]), _likeliest(at, fits))
         return fits
 
     def _net(self, p: Proposal) -> float:
@@ -254,6 +254,11 @@ class Search:
                 }
             )
         return best if gained > 0 else None
+
+
+def _likeliest(at: Fitted, fits: Iterable[Fitted]) -> Fitted:
+    """What the next fit of a step is held against."""
+    return max((at, *fits), key=lambda f: f.log_evidence)
 
 
 def drop_gain(at: Fitted, flights: Flights, name: str) -> float:

@@ -12,6 +12,7 @@ from statistics import median
 from typing import Any
 
 from scenarios.foreign.campaign import share
+from scenarios.foreign.naming_cells import REAL
 
 Row = dict[str, Any]
 CERTAIN = math.log10(20.0)
@@ -69,9 +70,17 @@ def clean_lines(rows: Sequence[Row]) -> list[str]:
             out.append(f"  {key} {value}: a false name {_count(part, _false)}")
     told = [r for r in some if r.get("largest_log10_e") is not None]
     if told:
-        large = _count(told, lambda r: r["largest_log10_e"] >= CERTAIN)
-        out.append(f"calibration: the largest E of a clean log is 20 or more: {large}")
+        large = _count(told, lambda r: false_evidence(r) >= CERTAIN)
+        out.append(f"calibration: the largest E of what is not there is 20 or more: {large}")
     return out
+
+
+def false_evidence(row: Row) -> float:
+    """log10 of the largest e-value of what is not there, in a clean log; 0 where none was put to a
+    test. A pose that is late, and the like, is there where the sensors are real."""
+    true = set(REAL) if row["sensors"] == "real" else set()
+    told = row["log10_e"].items()
+    return max((e for n, e in told if not set(n.split("|")) & true), default=0.0)
 
 
 def single_lines(rows: Sequence[Row], kind: str) -> list[str]:

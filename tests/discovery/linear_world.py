@@ -37,6 +37,8 @@ class World:
     lower: float = -np.inf
     fits: dict[Structure, Fitted] = field(default_factory=dict)
     effort: Any = EFFORT
+    asked: list[bool] = field(default_factory=list)
+    """Of every fit whether a rough one would do."""
 
     @property
     def causes(self) -> Any:
@@ -55,9 +57,10 @@ class World:
         """Every structure at its optimum."""
         return [self.fit(s) for s, _ in asked]
 
-    def fit(self, structure: Iterable[str], starts: Sequence[Any] = ()) -> Fitted:
+    def fit(self, structure: Iterable[str], starts: Sequence[Any] = (), *, rough: bool = False) -> Fitted:
         """The optimum in closed form."""
         chosen = frozenset(structure)
+        self.asked.append(rough)
         if chosen in self.fits:
             return self.fits[chosen]
         x, unknowns = self.shared, [unknown(f"b_{i}", np.inf) for i in range(self.shared.shape[1])]

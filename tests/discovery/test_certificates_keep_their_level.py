@@ -45,6 +45,16 @@ def test_what_is_there_is_certified_and_more_of_it_more():
     assert sizes[2] > 6.0
 
 
+@pytest.mark.parametrize(("size", "exact"), [(0.3, True), (5.0, False)])
+def test_only_near_the_bar_are_optima_needed_to_the_last_digit(size: float, exact: bool):
+    one, other = drawn(3, {"a": np.array([size])})
+    at, judges = one.fit({"a"}), split(one, other)
+    rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
+    found = certificates(at, {"a": [rival]}, [judges], 6.0)["a"]
+    assert (abs(found.log_e - 6.0) < judges.both.effort.behind) is exact
+    assert (False in judges.judge.asked) is exact  # type: ignore[attr-defined]
+
+
 def test_look_alikes_stay_a_set_where_the_flights_cannot_tell():
     one, other = drawn(3, {"a": np.array([2.0])})
     same = {**one.columns, "twin": one.columns["a"]}, {**other.columns, "twin": other.columns["a"]}

@@ -145,11 +145,18 @@ def test_a_search_ends_where_it_cannot_catch_up() -> None:
 
 def test_the_pace_is_that_of_the_last_iterations() -> None:
     falling = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
-    assert not hopeless(falling, target=-500.0, left=5)  # twice 100 an iteration
-    assert hopeless(falling, target=-501.0, left=5)
-    assert not hopeless(falling[:-1], target=-1e9, left=1)
-    assert hopeless([5.0, *[1.0] * 6], target=0.9, left=50)
-    assert not hopeless([5.0, *[1.0] * 6], target=np.inf, left=50)
+    assert not hopeless(falling, 1e4, target=-500.0, left=5)  # twice 100 an iteration
+    assert hopeless(falling, 1e4, target=-501.0, left=5)
+    assert not hopeless(falling[:-1], 1e4, target=-1e9, left=1)
+    assert hopeless([5.0, *[1.0] * 6], 1e4, target=0.9, left=50)
+    assert not hopeless([5.0, *[1.0] * 6], 1e4, target=np.inf, left=50)
+
+
+def test_an_optimum_is_not_much_deeper_than_the_full_step_promises() -> None:
+    falling = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
+    assert not hopeless(falling, 50.0, target=301.0, left=50)
+    assert hopeless(falling, 50.0, target=299.0, left=50)
+    assert not hopeless(falling[:-1], 0.0, target=-1e9, left=50)  # the first steps promise too little
 
 
 @pytest.mark.parametrize(("start", "arrived"), [(0.3, True), (4.0, False)])

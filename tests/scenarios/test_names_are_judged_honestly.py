@@ -202,11 +202,16 @@ def row(**changes):
 
 
 def test_shares_come_with_exact_intervals_and_logs_without_power_apart():
-    rows = [row(seed=s, largest_log10_e=0.5 if s else 2.0) for s in range(20)]
+    rows = [
+        row(seed=s, largest_log10_e=e, log10_e={"a": e}) for s in range(20) for e in [0.5 if s else 2.0]
+    ]
     said = summary(rows)
     # upper bound of none of 20: 1 - 0.025^(1/20)
     assert "a false name 0 of 20 (0.0 %, 0.0 to 16.8)" in said
-    assert "the largest E of a clean log is 20 or more: 1 of 20" in said
+    assert "the largest E of what is not there is 20 or more: 1 of 20" in said
+    late = {"largest_log10_e": 90.0, "log10_e": {"pose_delay": 90.0, "a|b": -3.0}}
+    assert "20 or more: 0 of 1" in summary([row(sensors="real", **late)])
+    assert "20 or more: 1 of 1" in summary([row(sensors="ideal", **late)])
     single = [
         row(asked="single", hidden=["a"], power=True, names={"a": {}}),
         row(asked="single", hidden=["a"], power=False, judged="silent"),

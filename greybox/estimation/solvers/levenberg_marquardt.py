@@ -38,6 +38,9 @@ FALL = -0.375
 PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
+BEYOND = 4.0
+"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LevenbergMarquardt:
@@ -88,7 +91,7 @@ class LevenbergMarquardt:
                     code = Code.CONVERGED
                     break
                 trail.append(value.likelihood)
-                if hopeless(trail, self.target, self.max_iterations - iteration):
+                if hopeless(trail, decrement, self.target, self.max_iterations - iteration):
                     code = Code.BEHIND
                     break
                 moved = False
@@ -141,13 +144,14 @@ class LevenbergMarquardt:
         return x, status
 
 
-def hopeless(trail: Sequence[float], target: float, left: int) -> bool:
-    """Whether a search with these values of the negative log likelihood so far will not reach the target in the iterations
-    that are `left`, at twice its pace over the last `PACE`."""
+def hopeless(trail: Sequence[float], promise: float, target: float, left: int) -> bool:
+    """Whether a search with these values of the negative log likelihood so far will not reach the target: the iterations
+    that are `left` are too few at twice its pace over the last `PACE`, or the optimum too shallow even if it were `BEYOND`
+    times as deep as the full step promises."""
     if len(trail) <= PACE:
         return False
     pace = (trail[-1 - PACE] - trail[-1]) / PACE
-    return trail[-1] - target > 2 * max(pace, 0.0) * left
+    return trail[-1] - target > min(2 * max(pace, 0.0) * left, BEYOND * promise)
 
 
 def promised(g: FloatArray, h: FloatArray, low: FloatArray, high: FloatArray) -> float:
