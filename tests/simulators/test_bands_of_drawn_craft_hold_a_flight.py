@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from tests import simulated
 NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
 
 
+@functools.cache
 def model(off: float = 1.0) -> IdentifiedModel:
     """The simulated craft as it is, thrust `off`, known within a percent."""
     data = simulated.flights(1, 10.0)
@@ -56,7 +59,8 @@ def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.Monk
         assert ours.box_width > 3.0 * ours.width
 
 
-def test_too_short_flights_are_refused() -> None:
+def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coverage_module, "START", 9.5)
     m = model()
     with pytest.raises(DataError, match="long enough"):
-        coverage(m, draw(m, 3), simulated.flights(1, 6.0))
+        coverage(m, draw(m, 3), simulated.flights(1, 10.0))

@@ -3,8 +3,6 @@ a second; and with the force and moment of rest.py every simulator is within 1 %
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +28,6 @@ NOT_SAID = {
 
 
 def flown(target: str, folder: Path, hover: float, u: Array, *, rest: bool) -> Array:
-    late = "scipy" in sys.modules and os.environ.get("SCIPY_ARRAY_API") != "1"
-    if target == "drone-models" and late:
-        pytest.skip("drone-models wants SCIPY_ARRAY_API=1 before scipy is imported")
     start = Start(rotors=np.full(4, hover), **START)
     before = np.full((5, 4), hover)
     try:

@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.frames import GRAVITY
 from greybox.model.effect import Effect
 from greybox.model.effects import effect_by_name
 from greybox.model.flow import Flow
@@ -38,7 +39,6 @@ from greybox.simulators.words import (
 )
 from greybox.symbolic import Expr
 
-GRAVITY = 9.80665
 DENSITY, ALTITUDE, TEMPERATURE = 1.225, 0.0, 15.0
 """Air of the reference test [kg/m^3, m, deg C]: thrust is as written at sea level."""
 OUTFLOW = 100.0
