@@ -1,6 +1,6 @@
 """RateController: model predictive control of body rates on any exported predictor of them.
 
-    min  sum_k |y_k - r|^2 + w_c^2 (mean u_k - c)^2 + w_d^2 |u_k - u_(k-1)|^2 + penalty(s)
+    min  1/2 sum_k |y_k - r|^2 + w_c^2 (mean u_k - c)^2 + w_d^2 |u_k - u_(k-1)|^2 + penalty (s + 5 s^2)
     s.t. |y_k| <= limit - kappa sigma_k + s,  u_min <= u_k <= u_max,  k = 0 .. N - 1
 
 y_k is linearised along the plan before (one real-time iteration a sample, Diehl et al. 2005, SIAM J. Control and
@@ -34,7 +34,7 @@ GIVEN = ("phi[t-1]", "theta[t-1]")
 @dataclass(frozen=True, kw_only=True)
 class RateProblem:
     """Horizon and weights: `limit` [rad/s], `collective` and `change` [rad/s per unit of command], `penalty` per rad/s
-    beyond a limit (on its square ten times it)."""
+    beyond a limit."""
 
     limit: float
     horizon: int = 15
@@ -128,11 +128,13 @@ class RateController:
 
     def sample(self, y: FloatArray, attitude: tuple[float, float], rates: FloatArray, collective: float) -> FloatArray:
         """The command (n_u,) from the next sample on: y (n_y,) was measured under the present one; roll and pitch
-        [rad] belong to it; asked are rates (n_y,) [rad/s] and the mean of the commands."""
+        [rad] belong to it; asked are rates (n_y,) [rad/s] and the mean of the commands. What is not finite was not
+        measured."""
         began = time.perf_counter()
         there = np.isfinite(y)
         self.x = self._filter(self.x, self.u, self.p, np.where(there, y, 0.0), there.astype(float))[0].full().ravel()
-        self.p = np.array(attitude)[self._place]
+        angles = np.array(attitude)[self._place]
+        self.p = np.where(np.isfinite(angles), angles, self.p)
         nominal = np.vstack([self.nominal[1:], self.nominal[-1:]])
         y0, slope, sigma = self._linearised(nominal)
         moved, solved = self._step(nominal, y0, slope, sigma, rates, collective)

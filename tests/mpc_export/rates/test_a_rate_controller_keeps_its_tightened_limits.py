@@ -90,6 +90,18 @@ def test_a_missing_rate_is_predicted(controllers):
     assert pilot.x == pytest.approx(before, abs=0.1)
 
 
+def test_nothing_that_is_not_finite_stays(controllers):
+    pilot = controllers["hybrid"]
+    settled(pilot, 3.0, np.array([0.4, 0.0]))
+    nan = np.full(2, np.nan)
+    for asked in (np.array([0.4, 0.0]), nan):
+        u = pilot.sample(nan, (np.nan, np.nan), asked, 0.5)
+        assert np.isfinite(u).all() and (u >= PROBLEM.u_min).all() and (u <= PROBLEM.u_max).all()
+    assert not pilot.plan.solved and pilot.failures == 1
+    pilot.sample(np.zeros(2), (0.1, 0.0), np.array([0.4, 0.0]), 0.5)
+    assert pilot.plan.solved and np.isfinite(pilot.plan.y).all()
+
+
 def test_a_process_that_looks_at_more_than_the_craft_measures_is_refused():
     learned = hybrid(base(), ("p", "q", "psi[t-1]"))
     with pytest.raises(ModelError, match=r"psi\[t-1\]"):
