@@ -24,7 +24,7 @@ e-value, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -32,6 +32,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.search import Rival
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND
 from greybox.symbolic import FloatArray
 
 APART = 0.5
@@ -146,37 +147,49 @@ def certificates(
     return out
 
 
+def certificates_beside(
+    flights: Flights, written: Fitted, names: Iterable[str], judges: Sequence[Split], bar: float
+) -> dict[str, Certificate]:
+    """Certificates of names next to laws: `written` is the structure on `flights` with both, and its
+    rivals are those without a name."""
+    rivals = {}
+    for name in names:
+        without = flights.fit(written.structure - {name}, [written.known], rough=True)
+        rivals[name] = [Rival(instead=(), share=0.0, fitted=without)]
+    return certificates(written, rivals, judges, bar)
+
+
 def _log_e(
     at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, *, rough: bool = False
 ) -> float:
     """Log e-value against one rival; below it where the strict one alone decides. `rough`: of fits
     that stop a tenth before their optima, which is enough far from the bar."""
     own = [_predictive(at, at, split, rough) for split in judges]
-    if not all(_found(*fits) for fits in own):  # a fit that stopped early may be too likely or not
-        return -np.inf
-    gained = [both.log_evidence - first.log_evidence for first, both in own]
+    gained = [_less(both.log_evidence - first.log_evidence, first, both) for first, both in own]
     known = rival.fitted.known
     start = [known, {**at.known, **known}]
     worst = [s.judge.fit(rival.fitted.structure, start, rough=rough) for s in judges]
-    strict = -np.inf
-    if _found(*worst):
-        strict = _mean([g + w.value.likelihood for g, w in zip(gained, worst, strict=True)])
+    sides = zip(gained, worst, strict=True)
+    strict = _mean([_less(g + w.value.likelihood, w) for g, w in sides])
     if strict >= bar + np.log(2):
         return strict - float(np.log(2))
     told = []
     for g, split in zip(gained, judges, strict=True):
         first, both = _predictive(rival.fitted, at, split, rough)
-        if not _found(first, both):
-            return _mean([strict, -np.inf])
-        keys = _keys(both, split, rival.instead)
         lost = both.log_evidence - first.log_evidence
-        told.append(g - lost - (regret(first, both, keys) if keys else 0.0))
+        keys = _keys(both, split, rival.instead)
+        paid = regret(first, both, keys) if keys and first.value.valid and both.value.valid else 0.0
+        told.append(_less(g - lost - paid, first, both))
     return _mean([strict, _mean(told)])
 
 
-def _found(*fits: Fitted) -> bool:
-    """Whether fits ended at their optima: only then is a supremum one, and evidence evidence."""
-    return all(f.comparable for f in fits)
+def _less(log_e: float, *fits: Fitted) -> float:
+    """A log e-value against which counts whatever its fits may still gain: one that ran out of
+    iterations is as far from its optimum as the full step from there promises, and more. Nothing
+    where a fit predicts nothing."""
+    if not all(f.value.valid for f in fits) or not np.isfinite(log_e):
+        return -np.inf
+    return log_e - sum(BEYOND * f.status.decrement for f in fits if not f.comparable)
 
 
 def _mean(logs: Sequence[float]) -> float:

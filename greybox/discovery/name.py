@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -83,6 +83,15 @@ def judged(
         shares=shares,
         reason=reason,
     )
+
+
+def unneeded(name: Name, beside: Certificate, bar: float) -> Name:
+    """A name that did not hold beside laws, by the certificate that it has there."""
+    reason = (
+        f"next to the laws of what has no name its log10 e is {beside.log_e / LOG10:.1f} of "
+        f"{bar / LOG10:.1f} that a name needs"
+    )
+    return replace(name, status="not certified", certificate=beside, shares={}, reason=reason)
 
 
 def _shares(

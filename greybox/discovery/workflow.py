@@ -19,11 +19,11 @@ from greybox.data.checks import CheckReport, check
 from greybox.data.lead import led
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer, since
-from greybox.discovery.certificate import certificates, splits
+from greybox.discovery.certificate import certificates, certificates_beside, splits
 from greybox.discovery.colour import sensor_table
 from greybox.discovery.evidence import Fitted, Flights
 from greybox.discovery.left import Left, left_over
-from greybox.discovery.name import Name, impossible, judged
+from greybox.discovery.name import Name, impossible, judged, unneeded
 from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.result import Discovery
 from greybox.discovery.search import Search
@@ -219,6 +219,11 @@ class _Run:
         found = self.settled(at)
         self.say("what is left", 0.8)
         left = self._left(at, found)
+        if left.written is not None:
+            names, fewer = self._beside_laws(names, at, left.written)
+            if fewer is not at:
+                at, found = fewer, self.settled(fewer)
+                left = self._left(at, found)
         before = left_over(self.flights, null, self.settled(null), self.bar, 0, laws=False)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
@@ -307,6 +312,20 @@ class _Run:
         gone = {n.name for n in names if n.status not in keep}
         if not gone:
             return names, at
+        return names, self.flights.fit(at.structure - gone, [at.known])
+
+    def _beside_laws(
+        self, names: list[Name], at: Fitted, written: Fitted
+    ) -> tuple[list[Name], Fitted]:
+        """Names that the flights do not need next to the laws that won are none: a name that was
+        near what is not in the catalogue bent into it before there was a law."""
+        asked = [n.name for n in names if n.name in written.structure]
+        judges = splits(self.flights, self.test)
+        beside = certificates_beside(self.flights, written, asked, judges, self.bar)
+        gone = {n for n, c in beside.items() if not c.beaten(self.bar)}
+        if not gone:
+            return names, at
+        names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]
         return names, self.flights.fit(at.structure - gone, [at.known])
 
     def _left(self, at: Fitted, found: Fit) -> Left:

@@ -4,12 +4,17 @@ and they grow with what the flights show."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from greybox.discovery.certificate import Certificate, certificates
+from greybox.discovery.certificate import Certificate, certificates, certificates_beside
+from greybox.discovery.evidence import Flights
 from greybox.discovery.search import Rival
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND
+from greybox.estimation.status import Code, Status
 from greybox.statistics.betting import betting
 from tests.discovery.linear_world import World, drawn, split
 
@@ -43,6 +48,36 @@ def test_what_is_there_is_certified_and_more_of_it_more():
              for k in (0.3, 1.0, 3.0)]  # fmt: skip
     assert sizes[0] < sizes[1] < sizes[2]
     assert sizes[2] > 6.0
+
+
+def test_a_name_that_bent_into_what_a_law_says_is_none_beside_it():
+    """b looks like a, which is there; next to it nothing of b is needed, and a is as certain as before."""
+    one, other = drawn(3, {"a": np.array([3.0])})
+    judge = split(one, other)
+    assert certified(one, other, "b", ((),), 6.0).log_e > 6.0
+    both = one.fit({"a", "b"})
+    beside = certificates_beside(cast(Flights, one), both, ("a", "b"), [judge], 6.0)
+    assert not beside["b"].beaten(6.0)
+    assert beside["a"].beaten(6.0)
+
+
+@pytest.mark.parametrize("promised", [0.1, 1.0, 100.0])
+def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float):
+    """A rival's fit ran out of iterations: a motor lag worth 99 % had no e-value at all. The optimum is believed deeper
+    than the last step promised, and a fit that predicts nothing certifies nothing."""
+    one, other = drawn(3, {"a": np.array([5.0])})
+    rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
+    plain = certificates(one.fit({"a"}), {"a": [rival]}, [split(one, other)], -np.inf)["a"].log_e
+    judges = split(one, other)
+    worst = judges.judge.fit(())
+    early = Status(code=Code.MAX_ITERATIONS, iterations=60, evaluations=90, decrement=promised)
+    fits = cast(World, judges.judge).fits
+    fits[frozenset()] = replace(worst, status=early)
+    found = certificates(one.fit({"a"}), {"a": [rival]}, [judges], -np.inf)["a"].log_e
+    assert plain - found == pytest.approx(BEYOND * promised)
+    whole = judges.both.fit({"a"})
+    cast(World, judges.both).fits[whole.structure] = replace(whole, value=replace(whole.value, valid=False))
+    assert certificates(one.fit({"a"}), {"a": [rival]}, [judges], 6.0)["a"].log_e == -np.inf
 
 
 @pytest.mark.parametrize(("size", "exact"), [(0.3, True), (5.0, False)])
