@@ -192,8 +192,8 @@ def run_on_cortex(source: CSource, calls: Mapping[str, Sequence[FloatArray]], fo
             raise ModelError(f"{source.prefix} has no function {name}", expected=", ".join(known))
     chosen = [known[name] for name in calls]
     harness, script, image = (folder / f"{source.prefix}_{n}" for n in ("cortex.c", "cortex.ld", "cortex.elf"))
-    harness.write_text(_harness(source, chosen, calls))
-    script.write_text(_LINKER)
+    harness.write_text(_harness(source, chosen, calls), encoding="utf-8")
+    script.write_text(_LINKER, encoding="utf-8")
     link = ["-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections", "-T", str(script)]
     # The harness needs GNU C for its few lines of assembler.
     objects = []
@@ -265,7 +265,7 @@ def _read(text: str, chosen: Sequence[CFunction], flash: int, static: int) -> Co
 
 def _call(command: Sequence[str], timeout: float = 300) -> str:
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout)
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=timeout)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise CortexError(f"{command[0]} did not run: {error}") from None
     if done.returncode:

@@ -174,7 +174,8 @@ def run(command: Sequence[str]) -> str:
     """Standard output of a command. Raises `VerifyError` with its first complaint."""
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", check=False, timeout=SECONDS, stdin=subprocess.DEVNULL
+            command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=SECONDS,
+            stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
         raise VerifyError(f"{command[0]} did not end within {SECONDS:g} s") from None

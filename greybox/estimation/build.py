@@ -136,9 +136,9 @@ def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]
             objects.append(found)
             continue
         path = folder / name
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
         command = [*cc, *flags, "-c", str(path), "-o", str(path.with_suffix(".o"))]
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace")
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace")
         running.append((process, len(objects), key))
         objects.append(path.with_suffix(".o"))
     complaints = [process.communicate()[1] for process, _, _ in running]
@@ -151,7 +151,7 @@ def _objects(cc: Command, sources: Sequence[Source], folder: Path) -> list[Path]
 
 
 def _run(command: Sequence[str], cc: Command) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False)
     if done.returncode:
         raise _failed(cc, done.returncode, done.stderr)
 

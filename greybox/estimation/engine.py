@@ -253,11 +253,9 @@ class Engine:
             text = generator.dump()
             del generator
         own = resources.files("greybox.estimation")
+        written = {n: own.joinpath(f"{n}.c").read_text(encoding="utf-8") for n in ("driver", "tape")}
         library = opened(
-            [
-                ("gb_model.c", text, MODEL_FLAGS),
-                *((f"gb_{n}.c", own.joinpath(f"{n}.c").read_text(), DRIVER_FLAGS) for n in ("driver", "tape")),
-            ]
+            [("gb_model.c", text, MODEL_FLAGS), *((f"gb_{n}.c", t, DRIVER_FLAGS) for n, t in written.items())]
         )
         if library is None:
             return

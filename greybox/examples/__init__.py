@@ -12,6 +12,10 @@ from pathlib import Path
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.files import write_atomic
 
+__all__ = [
+    "NANOBENCH_TEST", "NANOBENCH_TRAIN", "SETS", "copy", "flight_path",
+    "flight_paths", "nanobench_split", "vehicle_path",
+]  # fmt: skip
 ROOT = Path(__file__).parent
 
 SETS = {
@@ -125,3 +129,8 @@ def _holds(target: Path, content: bytes) -> bool:
         raise GreyboxError(
             f"cannot read: {error.strerror or error}", where=str(target), fix="choose another --out"
         ) from None
+
+
+def __dir__() -> list[str]:
+    """What an editor and a notebook offer."""
+    return __all__

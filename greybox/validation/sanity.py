@@ -8,8 +8,8 @@ model, with what to try. Whether the solver converged plays no part.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -131,7 +131,22 @@ def sanity_of(fit: Fit) -> Sanity:
     physics = physics_of(fit.model.dynamics)
     if physics is None:
         return Sanity(findings=())
-    return sanity(fit.parameters, physics.vehicle, fit.model.values)
+    found = sanity(fit.parameters, physics.vehicle, fit.model.values)
+    there = frozenset(fit.model.effects)
+    return Sanity(findings=tuple(replace(f, attempt=untried(f.attempt, there)) for f in found.findings))
+
+
+def untried(attempt: str, effects: Set[str]) -> str:
+    """An advice without what a model has already: "add A and B; C" is "C" where both are among its effects."""
+    left = []
+    for part in attempt.split("; "):
+        names, _, rest = part.removeprefix("add ").partition(" where ")
+        missing = [n for n in names.split(" and ") if n not in effects]
+        if not part.startswith("add "):
+            left.append(part)
+        elif missing:
+            left.append(f"add {' and '.join(missing)}{f' where {rest}' if rest else ''}")
+    return "; ".join(left) or "look at the innovations and at greybox check"
 
 
 Estimates = Mapping[str, Estimated]
@@ -239,7 +254,8 @@ def _inertia(estimates: Estimates, vehicle: Vehicle, values: Values) -> Iterator
             statement=f"no body has the principal moments {moments} kg m^2 (the largest exceeds the sum of the others"
             + (")" if known else ", by less than their errors)"),
             likely=rate,
-            attempt="add motor_lag and command_delay; hold inertia.zz where yaw is hardly excited; fit schema /2 files",
+            attempt="add motor_lag and command_delay; hold inertia.zz where yaw is hardly excited; "
+            "write the vehicle file in schema greybox.vehicle/2",
         )
     scale = values["mass"] * vehicle.arm_length**2
     low, high = LIMITS["inertia, least"].value, LIMITS["inertia, most"].value

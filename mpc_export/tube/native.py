@@ -17,6 +17,7 @@ def native(function: Any, kernels: Sequence[CKernel] = ()) -> Any:
     """`function` compiled (cached by content) and loaded. Raises `BuildError` without a C compiler."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_c([function], Path(folder), prefix="native", kernels=kernels)
-        text = made.source.read_text().replace('#include "native.h"\n', made.header.read_text())
+        header = made.header.read_text(encoding="utf-8")
+        text = made.source.read_text(encoding="utf-8").replace('#include "native.h"\n', header)
     library = build([("native.c", text, (*FAST_FLAGS, "-fPIC"))])
     return ca.external(made.functions[0].symbol, str(library))

@@ -197,7 +197,7 @@ def sources(
         source = write_c(
             list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels
         )
-        model, header = source.source.read_text(), source.header.read_text()
+        model, header = source.source.read_text(encoding="utf-8"), source.header.read_text(encoding="utf-8")
     works = {
         "ARG": max(f.sz_arg for f in source.functions),
         "RES": max(f.sz_res for f in source.functions),
@@ -213,7 +213,7 @@ def sources(
         f"#define TUBE_FREE {{{', '.join(map(str, made.free or (0,)))}}}",
         f"#define TUBE_GAIN {{{gain}}}",
     ]
-    driver = (Path(__file__).parent / "controller.c").read_text()
+    driver = (Path(__file__).parent / "controller.c").read_text(encoding="utf-8")
     headers = {"tube_model.h": header, "tube_sizes.h": "\n".join(lines) + "\n"}
     for name, text in headers.items():
         driver = driver.replace(f'#include "{name}"\n', text)

@@ -76,6 +76,18 @@ def test_a_model_that_beats_the_last_value_everywhere_is_useful_as_far_as_was_ju
     assert skill["rotation"] == pytest.approx(0.6 / 0.9)
 
 
+def test_what_is_only_level_with_the_last_value_is_not_called_below_it() -> None:
+    level = np.where(SECONDS < 0.3, 1.0, 2.53)  # 0.4 times this is 1 % above: nobody would notice
+    found = verdict_of(own(rotation=level))
+    assert found.outcome is Outcome.USABLE and found.useful_seconds == pytest.approx(1.0)
+    assert "errors stay below" not in found.line
+    assert "no error is above holding the last value by more than chance (rotation: level with it)" in found.line
+    own_angle, last = (np.degrees(v) for v in (0.4 * 2.53 * LIVELY["rotation"], LIVELY["rotation"]))
+    assert f"rotation {own_angle:.2g} deg (last value {last:.2g}" in found.line
+    said = next(line for line in in_words(found) if line.startswith("rotation"))
+    assert said == "rotation 0.5 s ahead: no better than holding the last value"
+
+
 def test_the_useful_horizon_ends_where_the_first_group_is_worse() -> None:
     crossing = np.where(SECONDS < 0.425, 1.0, 3.0)
     found = verdict_of(own(rotation=crossing))

@@ -10,7 +10,7 @@ import pytest
 from greybox.estimation.fit import Estimate, fit
 from greybox.model.model import build_model
 from greybox.model.vehicle import Quantity, Vehicle
-from greybox.validation.sanity import LIMITS, sanity, sanity_of
+from greybox.validation.sanity import ADVICE, LIMITS, sanity, sanity_of, untried
 from tests.simulated import ERRORS, flights, vehicle
 
 EFFECTS = ("motor_lag", "command_delay")
@@ -157,3 +157,13 @@ def test_a_real_fit_with_an_honest_vehicle_file_is_possible():
     data = flights(1, 6.0)
     report = sanity_of(fit(build_model(vehicle(), data.channels, EFFECTS), data))
     assert report.possible and not any(f.kind in ("overruled", "bounds") for f in report.findings)
+
+
+def test_nobody_is_told_to_add_what_the_model_has():
+    advice = "add motor_lag and command_delay; measure the arms"
+    assert ADVICE["inertia"][1] == advice
+    assert untried(advice, {"motor_lag"}) == "add command_delay; measure the arms"
+    assert untried(advice, {"motor_lag", "command_delay"}) == "measure the arms"
+    assert untried(ADVICE["mass"][1], {"battery_sag"}) == "free thrust.c2, hold mass (--fixed mass)"
+    assert untried(ADVICE["mass"][1], set()) == ADVICE["mass"][1]
+    assert untried("add rotor_asymmetry", {"rotor_asymmetry"}) == "look at the innovations and at greybox check"

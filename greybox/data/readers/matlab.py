@@ -69,7 +69,8 @@ def _read_apart(where: str) -> tuple[dict[str, npt.NDArray[np.float64]], list[st
         try:
             done = subprocess.run(
                 [sys.executable, "-P", str(script), os.path.abspath(where), str(target), str(allowance(where))],
-                capture_output=True, text=True, timeout=TIME_LIMIT, check=False, stdin=subprocess.DEVNULL,
+                capture_output=True, text=True, encoding="utf-8", errors="replace",
+                timeout=TIME_LIMIT, check=False, stdin=subprocess.DEVNULL,
             )  # fmt: skip
         except OSError as error:
             raise DataError(f"no process to read it in: {error.strerror}", where=where) from None

@@ -119,7 +119,7 @@ class Filter:
             generator = ca.CodeGenerator("gb_ekf_model.c", {"with_header": False})
             generator.add(self.lin)
             generator.add(self.move)
-            driver = resources.files("greybox.estimation").joinpath("ekf.c").read_text()
+            driver = resources.files("greybox.estimation").joinpath("ekf.c").read_text(encoding="utf-8")
             self._library = opened(
                 [
                     ("gb_ekf_model.c", generator.dump(), MODEL_FLAGS),
