@@ -67,8 +67,9 @@ CLAIMS: dict[str, dict[str, str]] = {
         "MuJoCo": "tests/simulators/test_mujoco_flies_what_the_model_flies.py",
         "crazyflow": "tests/simulators/test_drone_models_fly_what_the_statement_says.py",
         **dict.fromkeys(
-            ("PyBullet", "Gazebo", "PX4", "Isaac"), "tests/simulators/test_written_numbers_give_the_wrench.py"
+            ("PyBullet", "Gazebo", "PX4", "ArduPilot", "Isaac"), "tests/simulators/test_written_numbers_give_the_wrench.py"
         ),
+        "JSBSim": "tests/simulators/test_simulators_fly_the_model_with_the_rest.py",
         "NumPy and JAX": "tests/simulators/test_the_module_is_the_model.py",
     },
     "Control": {
