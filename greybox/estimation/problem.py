@@ -356,9 +356,7 @@ def make_problem(
         return problem
     told = predictor.told(problem)
     initial = _initial_unknowns(dynamics, records, [~t for t in told])
-    # The widest of all flights: filters that start alike share their covariances, which are dear.
-    widest = np.max([r.x0_sigma for r in records], axis=0)
-    spreads = tuple(np.where(t, widest, 0.0) for t in told)
+    spreads = tuple(np.where(t, r.x0_sigma, 0.0) for t, r in zip(told, records, strict=True))
     return replace(
         problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
     )

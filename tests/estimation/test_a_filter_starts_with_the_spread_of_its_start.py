@@ -19,7 +19,6 @@ from greybox.estimation.settling import FIRST, stretches
 from greybox.excitation.injection import rich_excitation
 from greybox.excitation.waypoints import RandomWaypoints
 from greybox.model.dynamics import StateSpaceModel
-from greybox.model.noise import Augmented, LowPass
 from greybox.model.parameter import Parameter
 from greybox.plants.flight_log import fly, member
 from greybox.plants.noise import ProcessNoise
@@ -178,21 +177,6 @@ def flights(count: int, first_seed: int) -> Dataset:
         whole = single if whole is None else whole + single
     assert whole is not None
     return whole
-
-
-def test_flights_share_the_covariances_of_their_start():
-    """A low-pass starts within what its sensor shows first, which differs: the widest holds for every flight."""
-    data = flights(2, 40)
-    filtered = Augmented(core=build_model(vehicle(), data.channels, ()), parts=(LowPass(sensor="accelerometer"),))
-    own = make_problem(filtered, data, predictor=Innovation(), criterion=Gaussian())
-    one, other = (r.x0_sigma for r in own.records)
-    assert (one != other).any()
-    assert own.spreads is not None
-    np.testing.assert_array_equal(*own.spreads)
-    carried = own.spreads[0] > 0
-    np.testing.assert_array_equal(own.spreads[0][carried], np.maximum(one, other)[carried])
-    gains = Innovation().gains(own, own.start, False)
-    assert gains[0].solutions[-1] is gains[1].solutions[-1]
 
 
 def loglik(found: Filtered) -> float:
