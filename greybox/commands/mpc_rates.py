@@ -12,7 +12,7 @@ from greybox.commands.command_line import typed
 
 OTHERS: dict[str, Any] = {
     "plant": None, "log": [], "course": "mpc_export.mission:OBSTACLE_COURSE", "pace": None, "jobs": 1,
-    "risk": "rehearsal", "even_so": False,
+    "risk": "rehearsal", "even_so": False, "mcap": None,
 }  # fmt: skip
 """Options of a model that flies a course, with the values that they have where nobody gave them."""
 

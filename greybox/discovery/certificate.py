@@ -135,7 +135,7 @@ def certificates(
             if rival.instead and rival.fitted.log_evidence < at.log_evidence - behind:
                 continue
             log_e = _log_e(at, rival, judges, bar, rough=True)
-            if not np.isfinite(bar) or abs(log_e - bar) < behind:
+            if not np.isfinite([bar, log_e]).all() or abs(log_e - bar) < behind:
                 log_e = _log_e(at, rival, judges, bar)
             found[rival.instead] = log_e
         strongest = min(found, key=lambda r: found[r], default=())

@@ -220,10 +220,11 @@ class _Run:
         self.say("what is left", 0.8)
         left = self._left(at, found)
         if left.written is not None:
-            names, fewer = self._beside_laws(names, at, left.written)
+            shorter, fewer = self._beside_laws(names, at, left.written)
             if fewer is not at:
-                at, found = fewer, self.settled(fewer)
-                left = self._left(at, found)
+                rest = self._left(fewer, self.settled(fewer))
+                if rest.written is not None:  # else the names had said what the laws say
+                    names, at, found, left = shorter, fewer, self.settled(fewer), rest
         before = left_over(self.flights, null, self.settled(null), self.bar, 0, laws=False)
         if not found.converged:
             self.warnings.append(f"the last fit: {found.status.advice}")
@@ -318,11 +319,13 @@ class _Run:
         self, names: list[Name], at: Fitted, written: Fitted
     ) -> tuple[list[Name], Fitted]:
         """Names that the flights do not need next to the laws that won are none: a name that was
-        near what is not in the catalogue bent into it before there was a law."""
+        near what is not in the catalogue bent into it before there was a law. What was supported
+        alone must not be refuted there."""
         asked = [n.name for n in names if n.name in written.structure]
         judges = splits(self.flights, self.test)
         beside = certificates_beside(self.flights, written, asked, judges, self.bar)
-        gone = {n for n, c in beside.items() if not c.beaten(self.bar)}
+        alone = {n.name for n in names if n.status == "supported"}
+        gone = {n for n, c in beside.items() if not c.beaten(0.0 if n in alone else self.bar)}
         if not gone:
             return names, at
         names = [n if n.name not in gone else unneeded(n, beside[n.name], self.bar) for n in names]

@@ -19,7 +19,7 @@ from greybox.residual.output_residual import OutputHybrid, fit_output_residual
 from greybox.residual.train import check_extra
 from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import make_folder
-from mpc_export.rates.craft import CHANNELS, DT, FLIGHTS, OUTPUTS, SECONDS, training_log, vehicle
+from mpc_export.rates.craft import CHANNELS, DT, FLIGHTS, OUTPUTS, PLANT, SECONDS, training_log, vehicle
 
 ORDER = 6
 """Two states an axis: the rate, and the lag of its motors."""
@@ -33,9 +33,10 @@ def identify(out: Path, say: Callable[[str], None]) -> OutputHybrid:
     file stand beside it. Raises `MissingExtraError` without PyTorch."""
     settings = {
         "schema": "greybox.study/1", "seconds": SECONDS, "flights": FLIGHTS, "order": ORDER, "points": POINTS,
+        "plant": PLANT, "errors": ERRORS, "channels": {n: [list(t) for t in terms] for n, terms in CHANNELS.items()},
     }  # fmt: skip
     done, file = out / "identified.json", out / "hybrid.json"
-    if done.exists() and file.exists() and read_json(done) == settings:
+    if all(f.exists() for f in (done, file, out / "vehicle.toml")) and read_json(done) == settings:
         return OutputHybrid.load(file)
     check_extra()
     make_folder(out)

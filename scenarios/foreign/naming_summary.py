@@ -68,19 +68,19 @@ def clean_lines(rows: Sequence[Row]) -> list[str]:
         for value in sorted({str(r[key]) for r in some}):
             part = [r for r in some if str(r[key]) == value]
             out.append(f"  {key} {value}: a false name {_count(part, _false)}")
-    told = [r for r in some if r.get("largest_log10_e") is not None]
+    told = [r for r in some if r.get("log10_e") and false_evidence(r) is not None]
     if told:
-        large = _count(told, lambda r: false_evidence(r) >= CERTAIN)
+        large = _count(told, lambda r: (false_evidence(r) or 0.0) >= CERTAIN)
         out.append(f"calibration: the largest E of what is not there is 20 or more: {large}")
     return out
 
 
-def false_evidence(row: Row) -> float:
-    """log10 of the largest e-value of what is not there, in a clean log; 0 where none was put to a
-    test. A pose that is late, and the like, is there where the sensors are real."""
+def false_evidence(row: Row) -> float | None:
+    """log10 of the largest e-value of what is not there, in a clean log; None where none was put to
+    a test. A pose that is late, and the like, is there where the sensors are real."""
     true = set(REAL) if row["sensors"] == "real" else set()
     told = row["log10_e"].items()
-    return max((e for n, e in told if not set(n.split("|")) & true), default=0.0)
+    return max((e for n, e in told if not set(n.split("|")) & true), default=None)
 
 
 def single_lines(rows: Sequence[Row], kind: str) -> list[str]:

@@ -1,10 +1,11 @@
 """Where the errors of open-loop predictions come from: each cause is taken away, and what is left is measured.
 
-    python -m scenarios.studies.error_budget MODEL.json [--set nanobench] [--figure budget.svg] [--every 2]
+    python -m scenarios.studies.error_budget MODEL.json [--figure budget.svg] [--every 2]
 
 The model is fitted to nothing here. On every test flight the values of the flight come from its first five seconds, as in
-`greybox validate --adapt 5`; origins start after them. Every row but the first uses knowledge that a predictor cannot
-have, so that the distance to the first row is the most that mending this cause can gain:
+`greybox validate --adapt 5`; origins start after them. Rows use knowledge that a predictor cannot
+have, so that the distance to the first row is the most that mending this cause can gain; only the two that are corrected
+use what a predictor has:
 
     the model                 state from the filter, measurements up to the origin
     start: pose and rates     position, velocity, attitude and rates of the start from the smoother (whole flight)
@@ -13,10 +14,11 @@ have, so that the distance to the first row is the most that mending this cause 
                               rates there best: clocks that wander, commands between samples
     torque of the flight      the discrepancy fades towards its mean over the whole flight instead of towards nothing
     torque, mean ahead        the mean of the smoothed torque over the coming half second, from its first sample on
-    corrected                 what ridge regression on the start and on the commands from 0.3 s before the origin to the
-                              predicted sample makes of the model's own errors, learned on the training flights. In
-                              closed loop commands tell of the pushes that they answer: a predictor of recorded flights
-                              may use that, a controller that chooses its commands may not
+    corrected by the past     what ridge regression on the start and on the commands of 0.3 s before the origin makes of
+                              the model's own errors, learned on the training flights
+    corrected by commands     the same with the commands up to the predicted sample. In closed loop these tell of the
+                              pushes that they answer: a predictor of recorded flights may use that, a controller that
+                              chooses its commands may not
     torque throughout         the smoothed torque at every step: all that pushes the rotation, whatever its name
     force throughout          the smoothed force at every step
     both throughout           what remains is the start and what no push can mend
@@ -60,7 +62,14 @@ RIDGE = 0.1
 """Ridge of the regression on features of unit variance, per sample."""
 GROUPS = ("position", "velocity", "rotation", "rate")
 LISTED = (2, 10, 50, 100)
-DRAWN = ("the model", "start: everything", "corrected", "torque, mean ahead", "torque throughout", "rates measured")
+DRAWN = (
+    "the model",
+    "start: everything",
+    "corrected by commands",
+    "torque, mean ahead",
+    "torque throughout",
+    "rates measured",
+)
 """Rows of the figure."""
 
 
@@ -76,13 +85,13 @@ class Replay:
     inputs: FloatArray
 
 
-def replay(runner: Filter, reader: GroupReader, flight: Flight, adapt: bool, every: int) -> Replay:
+def replay(runner: Filter, reader: GroupReader, flight: Flight, every: int) -> Replay:
     """Filter and smooth the first segment of a flight."""
     model, segment = runner.model, flight.segments[0]
-    own = adapt_to_flight(model, flight, ADAPT, riccati=runner.riccati) if adapt else None
-    p = model.flight_vector(flight.name) if own is None else model.parameter_vector(own.values)
-    start = {} if own is None else {"x0": own.x0, "x0_sigma": own.x0_sigma}
-    filtered = runner.run(segment.without(flight.noncausal), p=p, **start)
+    own = adapt_to_flight(model, flight, ADAPT, riccati=runner.riccati)
+    filtered = runner.run(
+        segment.without(flight.noncausal), p=model.parameter_vector(own.values), x0=own.x0, x0_sigma=own.x0_sigma
+    )
     references = {g: segment.matrix(reader.table[g].columns) for g in GROUPS if g in reader.judged(flight.channels)}
     there = np.all([np.isfinite(r).all(axis=1) for r in references.values()], axis=0)
     first = np.arange(round(ADAPT / segment.dt), segment.n - STEPS - 1, every)
@@ -96,14 +105,15 @@ def replay(runner: Filter, reader: GroupReader, flight: Flight, adapt: bool, eve
     )  # fmt: skip
 
 
-def asked(reader: GroupReader, r: Replay, past: int, h: int) -> FloatArray:
+def asked(reader: GroupReader, r: Replay, past: int, h: int, ahead: bool) -> FloatArray:
     """What the error h samples ahead of every origin is regressed on, (m, .): body velocity, rates, direction of gravity,
-    discrepancy, and squared commands and voltage up to the predicted sample."""
+    discrepancy, squared commands and voltage up to the predicted sample, or (not `ahead`) to the origin."""
     x = r.filtered.states[r.origins + 1]
     velocity, attitude, rate = (x[:, reader.state_rows(b)] for b in ("velocity", "attitude", "rate"))
     own = numeric("rotate_inverse", attitude, velocity)
     down = numeric("rotate_inverse", attitude, np.tile([0.0, 0.0, -1.0], (len(x), 1)))[:, :2]
     pushes = x[:, [i for g in ("torque", "force") for i in reader.state_rows(f"disturbance.{g}")]]
+    h = h if ahead else 0
     lags = np.arange(-h, round(BEFORE / r.filtered.record.dt), max(1, h // ASKED))
     at = np.clip(r.origins[:, None] + past - lags, 0, len(r.inputs) - 1)
     return np.column_stack([own, own * np.abs(own), rate, down, pushes, (r.inputs[at] ** 2).reshape(len(x), -1)])
@@ -133,7 +143,7 @@ class Budget:
         self.torque, self.force = (self.reader.state_rows(f"disturbance.{g}") for g in ("torque", "force"))
         self.fade = float(np.exp(-self.dt / model.values["disturbance.torque.T"]))
         self.rows: dict[str, HorizonAccumulator] = {}
-        self.learned: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        self.learned: dict[tuple[int, bool], tuple[FloatArray, FloatArray, FloatArray]] = {}
 
     def roll(
         self, r: Replay, starts: FloatArray, overwritten: Mapping[int, FloatArray] | None = None, shift: int = 0,
@@ -168,18 +178,22 @@ class Budget:
         """What start and commands tell of the errors of these flights, for every horizon."""
         plain = [self.roll(r, r.filtered.states[r.origins + 1]) for r in seen]
         for h in range(1, STEPS + 1):
-            x = np.concatenate([asked(self.reader, r, self.runner.engine.past, h) for r in seen])
-            y = np.concatenate([
-                np.column_stack([error_vectors(g, p[g][:, h - 1], r.references[g][r.origins + h]) for g in GROUPS])
-                for r, p in zip(seen, plain, strict=True)
-            ])  # fmt: skip
-            self.learned.append(regression(x, y))
+            y = np.concatenate(
+                [
+                    np.column_stack([error_vectors(g, p[g][:, h - 1], r.references[g][r.origins + h]) for g in GROUPS])
+                    for r, p in zip(seen, plain, strict=True)
+                ]
+            )
+            for ahead in (False, True):
+                x = np.concatenate([asked(self.reader, r, self.runner.engine.past, h, ahead) for r in seen])
+                self.learned[h, ahead] = regression(x, y)
 
-    def corrected(self, r: Replay, plain: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    def corrected(self, r: Replay, plain: Mapping[str, FloatArray], ahead: bool) -> dict[str, FloatArray]:
         """The predictions `plain` moved by what was learned."""
         out = {g: plain[g].copy() for g in GROUPS}
-        for h, found in enumerate(self.learned, start=1):
-            parts = np.split(regressed(asked(self.reader, r, self.runner.engine.past, h), found), len(GROUPS), axis=1)
+        for h in range(1, STEPS + 1):
+            x = asked(self.reader, r, self.runner.engine.past, h, ahead)
+            parts = np.split(regressed(x, self.learned[h, ahead]), len(GROUPS), axis=1)
             for g, moved in zip(GROUPS, parts, strict=True):
                 value = out[g][:, h - 1]
                 turned = numeric("multiply", value, numeric("exp", moved)) if g == "rotation" else value + moved
@@ -213,7 +227,8 @@ class Budget:
         )
         held = {i: np.repeat(coming[:, j : j + 1], STEPS, axis=1) for j, i in enumerate(self.torque)}
         self.add("torque, mean ahead", r, self.roll(r, causal, held))
-        self.add("corrected", r, self.corrected(r, plain))
+        self.add("corrected by the past", r, self.corrected(r, plain, False))
+        self.add("corrected by commands", r, self.corrected(r, plain, True))
 
         def along(places: Sequence[int]) -> dict[int, FloatArray]:
             return {i: truth[np.minimum(ahead, len(truth) - 1), i] for i in places}
@@ -249,11 +264,11 @@ class Budget:
 def run(model: IdentifiedModel, train: Dataset, test: Dataset, every: int) -> dict[str, HorizonAccumulator]:
     """Label -> errors over the flights of `test`; what corrects them was learned on `train`."""
     budget = Budget(model)
-    seen = [replay(budget.runner, budget.reader, f, False, every) for f in train]
+    seen = [replay(budget.runner, budget.reader, f, every) for f in train]
     budget.learn(seen)
     for flight in test:
         print(f"  {flight.name}", flush=True)
-        budget.flight(replay(budget.runner, budget.reader, flight, True, every))
+        budget.flight(replay(budget.runner, budget.reader, flight, every))
     return budget.rows
 
 

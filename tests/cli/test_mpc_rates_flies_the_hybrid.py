@@ -12,7 +12,7 @@ from greybox.cli import main
 
 @pytest.mark.parametrize(
     "extra", [["--course", "a:b"], ["--log", "a.csv"], ["--pace", "2"], ["--plant", "a:b"], ["--risk", "boole"],
-              ["--jobs", "2"], ["--even-so"]],
+              ["--jobs", "2"], ["--even-so"], ["--mcap", "f.mcap"]],
 )  # fmt: skip
 def test_what_belongs_to_a_course_is_refused_in_one_line(extra, tmp_path, capsys):
     assert main(["mpc", "rates", *extra, "--out", str(tmp_path / "out")]) == 2
