@@ -59,6 +59,7 @@ typedef struct {
   double slack[N + 1][NL];
   double cost, kkt, step, iterations, qp_iterations, qp_status;
   double qp_residual;            /* primal residual of the last QP: dynamics, commands, rates */
+  double missed;                 /* how far the model, flown under the plan's commands, is from the plan */
   double clipped;                /* by how much the limits moved a command of the plan at the end */
   double seconds, seconds_linear, seconds_tube, seconds_qp;
 } tube_data;
@@ -79,6 +80,7 @@ typedef struct {
   double c[ND * NGP1], b[ND * NTH1];
   double c2[ND * NGP1], b2[ND * NTH1], Z[ND * ND], Z2[ND * ND];
   double x_kept[N + 1][NX], u_kept[N][NU];
+  tube_data first;
 } tube_solver;
 
 static double now(void) {
@@ -391,6 +393,25 @@ static double residual(tube_solver *s) {
   return larger(m, v);
 }
 
+/* How far the model, flown from the plan's start under its commands, is from the plan, to first order: the gaps of the
+   moved plan, carried along its linearisation. With the right commands the next step would have this size. */
+static int missed(tube_solver *s, tube_data *d) {
+  double away[NK] = {0};
+  d->missed = 0;
+  for (int k = 0; k < N; k++) {
+    double next[NX], gap[NK];
+    const double *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p}, *gap_arg[TUBE_ARG] = {next, d->x[k + 1]};
+    double *res[TUBE_RES] = {next}, *gap_res[TUBE_RES] = {gap};
+    if (tube_model_tube_step(arg, res, s->iw, s->w, 0)) return 1;
+    if (tube_model_tube_gap(gap_arg, gap_res, s->iw, s->w, 0)) return 1;
+    for (int j = 0; j < NK; j++)
+      for (int i = 0; i < NK; i++) gap[i] += s->A[k][j * NK + i] * away[j];
+    memcpy(away, gap, sizeof away);
+    d->missed = larger(d->missed, largest(away, NK));
+  }
+  return 0;
+}
+
 /* One QP about the plan: solves it and moves the plan by the solution. Returns what tube_solve does. */
 static int moved_by_qp(tube_solver *s, tube_data *d) {
   double z[N + 1][NZ], w[N][NU], size = 0;
@@ -459,19 +480,39 @@ static int iterated(tube_solver *s, tube_data *d) {
     if ((int)d->iterations_max == 1) break;
   }
   if (!(largest(&d->x[0][0], (N + 1) * NX) < INFINITY) || !(largest(&d->u[0][0], N * NU) < INFINITY)) return 1;
+  return missed(s, d);
+}
+
+/* The next step of Newton's method as a part of the last: it converges below 1 (Deuflhard 2011, Newton methods for
+   nonlinear problems, section 2.1). 0 where the plan meets its dynamics, infinite without a plan. */
+static double contraction(const tube_data *d, int failed) {
+  if (failed) return INFINITY;
+  return d->missed <= d->primal_tolerance ? 0 : d->missed / d->step;
+}
+
+/* The plan's commands, flown by the model from where the craft is: a start that owes nothing to the states planned before,
+   which a wild measurement may have sent anywhere. */
+static int simulated(tube_solver *s, tube_data *d) {
+  memcpy(d->x[0], d->x0, sizeof d->x[0]);
+  for (int k = 0; k < N; k++) {
+    const double *arg[TUBE_ARG] = {d->x[k], d->u[k], d->p};
+    double *res[TUBE_RES] = {d->x[k + 1]};
+    if (tube_model_tube_step(arg, res, s->iw, s->w, 0)) return 1;
+  }
   return 0;
 }
 
-/* Iterates from the plan in d. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP
-   was not solved. After 1 and 2 the plan is the one from before the call, to the last bit. After 0 its commands keep their
-   limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end, though it met dynamics and
-   limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
+/* Iterates from the plan in d; where that fails or its steps grow, also from its commands flown by the model, and takes
+   the better. Returns 0; 1 where a function of the model failed or the plan is not finite; 2 where the QP was
+   not solved; 3 where Newton's steps grow. After 1 to 3 the plan is the one from before the call, to the last bit. After 0
+   its commands keep their limits and rates exactly; qp_status 1 or 2 then says that the QP was not solved to the end,
+   though it met dynamics and limits to primal_tolerance. d->kkt <= d->tolerance says that the iterations converged. */
 int tube_solve(tube_solver *s, tube_data *d) {
   double begin = now();
   int most = d->qp_iterations_max < QP_ITERATIONS ? (int)d->qp_iterations_max : QP_ITERATIONS;
   d->seconds_linear = d->seconds_tube = d->seconds_qp = 0;
   d->iterations = d->qp_iterations = d->clipped = 0;
-  d->step = d->kkt = d->qp_residual = INFINITY;
+  d->step = d->kkt = d->qp_residual = d->missed = INFINITY;
   d->qp_status = -1;
   d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
   d_ocp_qp_ipm_arg_set_tol_stat(&d->qp_tolerance, &s->arg);
@@ -482,6 +523,22 @@ int tube_solve(tube_solver *s, tube_data *d) {
   memcpy(s->u_kept, d->u, sizeof d->u);
   memcpy(d->x[0], d->x0, sizeof d->x[0]);
   int failed = iterated(s, d);
+  double ratio = contraction(d, failed);
+  if (ratio >= 1) {
+    s->first = *d;
+    if (failed) renewed(s);
+    d_ocp_qp_ipm_arg_set_iter_max(&most, &s->arg);
+    memcpy(d->u, s->u_kept, sizeof d->u);
+    int second = simulated(s, d) || iterated(s, d);
+    if (contraction(d, second) < ratio) {
+      ratio = contraction(d, second);
+      failed = 0;
+    } else {
+      if (second) renewed(s);
+      *d = s->first;
+    }
+  }
+  if (!failed && ratio >= 1) failed = 3;
   if (failed) {
     memcpy(d->x, s->x_kept, sizeof d->x);
     memcpy(d->u, s->u_kept, sizeof d->u);

@@ -28,7 +28,7 @@ from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
 
 _SCALARS = (
-    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "qp_residual", "clipped", "seconds",
+    "cost", "kkt", "step", "iterations", "qp_iterations", "qp_status", "qp_residual", "missed", "clipped", "seconds",
     "seconds_linear", "seconds_tube", "seconds_qp",
 )  # fmt: skip
 PRIMAL = 1e-4
@@ -55,13 +55,16 @@ def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not solved.
+    """What a call of the solver says. status: 0 solved, 1 a model function failed, 2 the QP was not solved,
+    3 the model does not fly the plan: Newton's steps grow (missed is not below step).
 
     kkt: residual of the KKT conditions with the multipliers of the last QP (infinite where it was
     not asked for); step: largest change of the last iteration; times in seconds. qp_status is
     HPIPM's: 0 solved, 1 iteration limit, 2 smallest step, 3 NaN, -1 none was tried. With 1 and 2 a
     plan was taken over all the same (status 0) where qp_residual, by which dynamics, commands and
-    rates were missed, was small. clipped: by how much a command of the plan was moved by its limits.
+    rates were missed, was small. missed: how far the model, flown from the plan's start under its commands, is from the
+    plan (to first order; largest over stages and error states). clipped: by how much
+    a command of the plan was moved by its limits.
     """
 
     status: int
@@ -72,6 +75,7 @@ class Outcome:
     qp_iterations: int
     qp_status: int
     qp_residual: float
+    missed: float
     clipped: float
     seconds: float
     seconds_linear: float

@@ -90,7 +90,7 @@ def stages(
     estimate = model.noise.covariance if estimate is None else np.asarray(estimate, dtype=float)
     fresh = _positive(a @ estimate @ a.T + model.noise.process - estimate if fresh is None else np.asarray(fresh))
     made = [
-        _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
+        _step(model), _linear(model, keep), *_charts(model, keep), _cost(model, problem, keep), _end(model, keep, terminal),
         _limits(model, problem, keep), _spread(model, problem, gain, estimate, fresh, white),
     ]  # fmt: skip
     return Stages(
@@ -186,6 +186,12 @@ def _positive(m: FloatArray) -> FloatArray:
 def _arguments(model: ModelFunctions) -> tuple[Expr, Expr, Expr]:
     n = model.sizes
     return ca.MX.sym("x", n["n_x"]), ca.MX.sym("u", n["n_u"]), ca.MX.sym("p", n["n_p"])
+
+
+def _step(model: ModelFunctions) -> Any:
+    """(x, u, p) -> next state."""
+    arguments = _arguments(model)
+    return ca.Function("tube_step", [*arguments], [model["f_d"](*arguments)])
 
 
 def _linear(model: ModelFunctions, keep: tuple[int, ...]) -> Any:
