@@ -25,7 +25,7 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
-from greybox.simulators.craft import Craft
+from greybox.simulators.craft import Craft, of_a_body
 from greybox.simulators.laws import linear_drag
 from greybox.simulators.principal_axes import principal_axes
 from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
@@ -123,34 +123,38 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
     declared = {d.name: d for d in model.dynamics.parameters}
     names = tuple(declared)
     random = np.random.default_rng(seed)
+    (of_flights,) = random.spawn(1)  # so that shared parameters are drawn alike with and without
     mean = np.array([float(model.values[n]) for n in names])
     values = np.tile(mean, (count, 1))
     shared = [n for n in model.covariance_names if n in declared]
     between = [n for n, (_, s) in model.flight_spread.items() if s > 0 and math.isfinite(s)]
+    drawn = (*shared, *between)
+    root, sigma = np.zeros((0, 0)), np.zeros(0)
     if shared:
         picked = [list(model.covariance_names).index(n) for n in shared]
         covariance = model.covariance[np.ix_(picked, picked)]
         root, sigma = _root(covariance), np.sqrt(np.diag(covariance))
-        again = np.arange(count)
-        for _ in range(ROUNDS):
-            steps = random.standard_normal((len(again), len(shared))) @ root.T
-            for k, name in enumerate(shared):
-                at = names.index(name)
-                values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
-            again = again[~_bodies(craft, names, values[again])]
-            if not len(again):
-                break
-        else:
-            raise DataError(
-                f"{craft.title}: hardly any inertia within the fit's covariance is that of a body",
-                fix="fit with a prior on the inertia",
-            )
-    for name in between:
-        at = names.index(name)
-        centre, spread = model.flight_spread[name]
-        step = spread * random.standard_normal(count)
-        values[:, at] = _moved(declared[name], centre, spread, step)
-    return Draws(craft=craft, names=names, values=values, drawn=(*shared, *between), seed=seed)
+    turned = any(n in MOMENTS or n.startswith("products_of_inertia.") for n in drawn)
+    again = np.arange(count)
+    for _ in range(ROUNDS):
+        steps = random.standard_normal((len(again), len(shared))) @ root.T
+        for k, name in enumerate(shared):
+            at = names.index(name)
+            values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
+        for name in between:
+            centre, spread = model.flight_spread[name]
+            step = spread * of_flights.standard_normal(len(again))
+            values[again, names.index(name)] = _moved(declared[name], centre, spread, step)
+        again = again[~_bodies(craft, names, values[again])] if turned else again[:0]
+        if not len(again):
+            break
+    else:
+        raise DataError(
+            f"{craft.title}: hardly any inertia within the fit's covariance and the spread between "
+            "flights is that of a body",
+            fix="fit with a prior on the inertia",
+        )
+    return Draws(craft=craft, names=names, values=values, drawn=drawn, seed=seed)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -179,8 +183,7 @@ def _bodies(craft: Craft, names: tuple[str, ...], values: FloatArray) -> BoolArr
         if full in names:
             j[:, i, k] += values[:, names.index(full)] - craft.get(full)
             j[:, k, i] = j[:, i, k]
-    moments = np.linalg.eigvalsh(j)
-    return np.asarray((moments[:, 0] > 0) & (moments[:, 2] < moments[:, 0] + moments[:, 1]))
+    return of_a_body(np.linalg.eigvalsh(j))
 
 
 # ---------------------------------------------------------------- under the names of simulators

@@ -72,6 +72,45 @@ def test_a_flat_craft_is_not_drawn_wider_than_it_is_known() -> None:
         assert abs(draws.column(name).mean() - value) < sigma
 
 
+def test_a_moment_of_its_own_in_every_flight_is_drawn_as_a_bodys_too() -> None:
+    model = uncertain((0.03,) * 6)
+    zz = model.values["inertia.zz"]
+    spread = {"mass": (1.0, 0.02), "inertia.zz": (zz, 0.6 * zz)}
+    kept = [n for n in NAMES if n != "inertia.zz"]
+    at = [NAMES.index(n) for n in kept]
+    model = replace(
+        model,
+        covariance_names=tuple(kept),
+        covariance=model.covariance[np.ix_(at, at)],
+        flight_spread=spread,
+    )
+    draws = draw(model, 500, seed=1)
+    j = moments(draws)
+    assert (j[:, 0] > 0).all()
+    assert (j[:, 2] <= j[:, 0] + j[:, 1]).all()
+    assert draws.column("inertia.zz").std() > 0.2 * zz
+    assert draws.column("mass").std() == pytest.approx(0.02, rel=0.15)
+    alone = draw(replace(model, covariance_names=(), covariance=np.zeros((0, 0))), 500, seed=1)
+    j = moments(alone)
+    assert (j[:, 0] > 0).all() and (j[:, 2] <= j[:, 0] + j[:, 1]).all()
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.1 / 3, 1.7e-5 / 7])
+def test_a_flat_craft_whose_inertia_is_held_is_drawn(scale: float) -> None:
+    model = uncertain((0.1,) * 6)
+    flat = {"inertia.xx": scale, "inertia.yy": scale, "inertia.zz": 2 * scale}
+    at = [NAMES.index(n) for n in NAMES[3:]]
+    model = replace(
+        model,
+        values=model.values.replace(flat),
+        covariance_names=NAMES[3:],
+        covariance=model.covariance[np.ix_(at, at)],
+    )
+    draws = draw(model, 50, seed=1)
+    assert np.ptp(draws.column("inertia.zz")) == 0.0
+    assert draws.column("thrust.c2").std() > 0
+
+
 def test_a_seed_repeats_and_the_files_hold_the_draws() -> None:
     model = uncertain((0.1,) * 6)
     one, two = draw(model, 50, seed=7), draw(model, 50, seed=7)
