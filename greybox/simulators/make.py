@@ -139,7 +139,7 @@ def twin(
     covered: tuple[Covered, ...] = ()
     if drawn is not None:
         files |= drawn.files()
-        notes.append(drawn.summary())
+        notes += [drawn.summary(), *drawn.notes]
         if check is not None:
             covered = coverage(model, drawn, check, seed=seed)
             notes.append(format_table(covered))
