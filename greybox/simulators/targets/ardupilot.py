@@ -176,7 +176,8 @@ class ArduPilot:
     def _maps(self, w: Wording) -> None:
         craft = w.craft
         c1, c2 = thrust_of_command(craft)
-        how = "hoverThrOut, propExpo, at sea level; SITL scales thrust with the air density at home"
+        how = "hoverThrOut, propExpo, at sea level; SITL scales thrust with the air density at "
+        how += "the craft's altitude, home's included"
         values = {"thrust.c0": 0.0, "thrust.c1": c1, "thrust.c2": c2}
         if craft.thrust[0] or "thrust_curve" in craft.effects:
             how += "; value and slope at hover"
