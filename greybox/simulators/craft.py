@@ -20,11 +20,13 @@ from greybox.model.layer import learned_push_of
 from greybox.model.model import PhysicsModel
 from greybox.model.noise import disturbances, gauss_markov
 from greybox.model.sensors import USUAL
-from greybox.symbolic import FloatArray
+from greybox.symbolic import BoolArray, FloatArray
 
 COUNTED_SPEED = 1000.0
 """Full rotor speed [rad/s] that files are written with where the vehicle file states none: thrust,
 torque and drag do not depend on the choice, since their coefficients are scaled with it."""
+TOLERANCE = 1e-9
+"""Of the triangle inequality, as a share of the largest moment: rounding of a flat body's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +82,7 @@ class Craft:
         if not self.mass > 0:
             raise ModelError(f"mass {self.mass:g} kg", expected="a positive mass")
         moments = np.linalg.eigvalsh(self.inertia)
-        if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9 * moments[2]:
+        if not of_a_body(moments):
             said = ", ".join(f"{v:.3g}" for v in moments)
             raise ModelError(
                 f"no body has the principal moments of inertia {said} kg m^2",
@@ -244,6 +246,13 @@ class Craft:
         if not all(n in self.sensor_noise for n in names):
             return None
         return np.array([self.sensor_noise[n] for n in names])
+
+
+def of_a_body(moments: FloatArray) -> BoolArray:
+    """Whether principal moments (..., 3), smallest first, are positive and the largest is at most
+    the sum of the other two, which it is for a flat body."""
+    low, middle, high = (moments[..., k] for k in range(3))
+    return np.asarray((low > 0) & (high <= low + middle + TOLERANCE * high))
 
 
 def _pushes(model: IdentifiedModel) -> str:

@@ -25,11 +25,13 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
-from greybox.simulators.craft import Craft
+from greybox.simulators.command_text import EFFECTS as COMMANDS
+from greybox.simulators.craft import Craft, of_a_body
 from greybox.simulators.laws import linear_drag
 from greybox.simulators.principal_axes import principal_axes
 from greybox.simulators.targets.crazyflow import PER_MINUTE, SHORTEST_LAG
 from greybox.simulators.targets.mujoco import tangent, yaw_ratio
+from greybox.simulators.words import square_at_hover
 from greybox.symbolic import BoolArray, FloatArray
 
 MOMENTS = ("inertia.xx", "inertia.yy", "inertia.zz")
@@ -37,6 +39,8 @@ RELATIVE = 0.5
 """Sigma over value below which a parameter that cannot be negative is drawn in its logarithm."""
 ROUNDS = 200
 """How often draws that are no body are drawn again."""
+IN_MJX = ("motor_lag", "rotor_asymmetry")
+"""Effects of rotors that MuJoCo's model has arrays for."""
 MOST_DRAWS = 1_000_000
 
 
@@ -74,12 +78,47 @@ class Draws:
             "draws/draws.npz": _npz({"names": np.array(self.names), "values": self.values}),
             "draws/ranges.toml": self.ranges(),
         }
-        even = not any(n.startswith(("rotor_asymmetry.", "rotor_gyroscopic.")) for n in self.names)
         files["draws/mjx.npz"] = _npz(_mjx(every))
-        files["draws/isaac.npz"] = _npz(_isaac(every))
-        if even:
+        files["draws/isaac.npz"] = _npz(_isaac(every, self.craft.strength))
+        if not self._apart:
             files["draws/crazyflow.npz"] = _npz(_crazyflow(every))
         return files
+
+    @property
+    def _apart(self) -> tuple[str, ...]:
+        """Effects that crazyflow's arrays cannot have one per craft."""
+        return tuple(e for e in ("rotor_asymmetry", "rotor_gyroscopic") if e in self._effects)
+
+    @property
+    def _effects(self) -> tuple[str, ...]:
+        """Effects of which a draw has any parameter that does not switch it off."""
+        return tuple(
+            e.name
+            for e in self.craft.physics.effects
+            if any(
+                (self.column(f"{e.name}.{d.name}") != d.null).any()
+                for d in e.parameters(self.craft.physics.vehicle)
+                if f"{e.name}.{d.name}" in self.names
+            )
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What files of simulators lack that draws.npz has, one line per file."""
+        stage = {e.name: e.stage for e in self.craft.physics.effects}
+        lost = [
+            n
+            for n in self._effects
+            if n not in IN_MJX and stage[n] in ("rotor", "thrust", "wrench") and n not in COMMANDS
+        ]
+        notes = []
+        if lost:
+            what = f"draws/mjx.npz is without {', '.join(lost)}"
+            notes.append(f"{what}: arrays of MJX have no place for them, nor for callback.py")
+        if self._apart:
+            what = f"no draws/crazyflow.npz: its arrays cannot say {' or '.join(self._apart)}"
+            notes.append(what)
+        return tuple(notes)
 
     def ranges(self) -> str:
         """TOML of the central 95 % of every parameter that varies: a box for simulators that take
@@ -123,34 +162,38 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
     declared = {d.name: d for d in model.dynamics.parameters}
     names = tuple(declared)
     random = np.random.default_rng(seed)
+    (of_flights,) = random.spawn(1)  # so that shared parameters are drawn alike with and without
     mean = np.array([float(model.values[n]) for n in names])
     values = np.tile(mean, (count, 1))
     shared = [n for n in model.covariance_names if n in declared]
     between = [n for n, (_, s) in model.flight_spread.items() if s > 0 and math.isfinite(s)]
+    drawn = (*shared, *between)
+    root, sigma = np.zeros((0, 0)), np.zeros(0)
     if shared:
         picked = [list(model.covariance_names).index(n) for n in shared]
         covariance = model.covariance[np.ix_(picked, picked)]
         root, sigma = _root(covariance), np.sqrt(np.diag(covariance))
-        again = np.arange(count)
-        for _ in range(ROUNDS):
-            steps = random.standard_normal((len(again), len(shared))) @ root.T
-            for k, name in enumerate(shared):
-                at = names.index(name)
-                values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
-            again = again[~_bodies(craft, names, values[again])]
-            if not len(again):
-                break
-        else:
-            raise DataError(
-                f"{craft.title}: hardly any inertia within the fit's covariance is that of a body",
-                fix="fit with a prior on the inertia",
-            )
-    for name in between:
-        at = names.index(name)
-        centre, spread = model.flight_spread[name]
-        step = spread * random.standard_normal(count)
-        values[:, at] = _moved(declared[name], centre, spread, step)
-    return Draws(craft=craft, names=names, values=values, drawn=(*shared, *between), seed=seed)
+    turned = any(n in MOMENTS or n.startswith("products_of_inertia.") for n in drawn)
+    again = np.arange(count)
+    for _ in range(ROUNDS):
+        steps = random.standard_normal((len(again), len(shared))) @ root.T
+        for k, name in enumerate(shared):
+            at = names.index(name)
+            values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
+        for name in between:
+            centre, spread = model.flight_spread[name]
+            step = spread * of_flights.standard_normal(len(again))
+            values[again, names.index(name)] = _moved(declared[name], centre, spread, step)
+        again = again[~_bodies(craft, names, values[again])] if turned else again[:0]
+        if not len(again):
+            break
+    else:
+        raise DataError(
+            f"{craft.title}: hardly any inertia within the fit's covariance and the spread between "
+            "flights is that of a body",
+            fix="fit with a prior on the inertia",
+        )
+    return Draws(craft=craft, names=names, values=values, drawn=drawn, seed=seed)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -179,8 +222,7 @@ def _bodies(craft: Craft, names: tuple[str, ...], values: FloatArray) -> BoolArr
         if full in names:
             j[:, i, k] += values[:, names.index(full)] - craft.get(full)
             j[:, k, i] = j[:, i, k]
-    moments = np.linalg.eigvalsh(j)
-    return np.asarray((moments[:, 0] > 0) & (moments[:, 2] < moments[:, 0] + moments[:, 1]))
+    return of_a_body(np.linalg.eigvalsh(j))
 
 
 # ---------------------------------------------------------------- under the names of simulators
@@ -197,7 +239,10 @@ def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
     the craft are bodies 0 and 1. Without callback.py, as MJX flies."""
     n = every[0].count
     axes = [principal_axes(c.inertia) for c in every]
-    slope, offset, largest = (np.array(v) for v in zip(*(tangent(c) for c in every), strict=True))
+    strength = np.array([c.strength for c in every])
+    slope, offset, largest = (
+        np.array(v)[:, None] * strength for v in zip(*(tangent(c) for c in every), strict=True)
+    )
     lag = np.array([max(c.get("motor_lag.tau"), SHORTEST_LAG) for c in every])
 
     def numbers(*first: FloatArray, size: int = 10) -> FloatArray:
@@ -227,20 +272,23 @@ def _mjx(every: list[Craft]) -> dict[str, FloatArray]:
     }
 
 
-def _isaac(every: list[Craft]) -> dict[str, FloatArray]:
+def _isaac(every: list[Craft], carried: FloatArray) -> dict[str, FloatArray]:
     """Masses (n, 1), inertia about the centre of mass in body axes (n, 9), centre of mass from the
     body's origin (n, 3) with the axes of the body (w, x, y, z); and Pegasus' thrust curve and
-    linear drag."""
-    first = every[0]
-    square = 1.0 / first.speed_max**2
-    strength = np.array([c.strength for c in every])
+    linear drag. `carried`: strength (n,) of the rotors that commands.py scales speeds by."""
+    square = 1.0 / every[0].speed_max**2
+    factor = square * np.array([c.strength for c in every]) / carried
+    thrust, torque = (
+        np.array([[square_at_hover(getattr(c, key), c.hover_nu)] for c in every])
+        for key in ("thrust", "torque")
+    )
     return {
         "masses": np.array([[c.mass] for c in every]),
         "inertias": np.array([c.inertia.ravel() for c in every]),
         "com_positions": np.array([c.center_of_mass for c in every]),
         "com_orientations": np.tile([1.0, 0.0, 0.0, 0.0], (len(every), 1)),
-        "rotor_constant": np.array([[c.thrust[2]] for c in every]) * square * strength,
-        "rolling_moment_coefficient": np.array([[c.torque[2]] for c in every]) * square * strength,
+        "rotor_constant": thrust * factor,
+        "rolling_moment_coefficient": torque * factor,
         "drag": np.array([linear_drag(c) for c in every]),
     }
 

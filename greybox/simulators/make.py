@@ -10,7 +10,7 @@ from typing import Any
 
 from greybox.data import Dataset
 from greybox.errors import DataError, ModelError
-from greybox.files import OutputError, dump_json, write_atomic
+from greybox.files import FileFormatError, OutputError, dump_json, read_json, write_atomic
 from greybox.model.identified import IdentifiedModel
 from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
@@ -23,7 +23,8 @@ from greybox.simulators.targets import TARGETS, target_by_name
 from greybox.simulators.words import Status
 
 SCHEMA = "greybox.twin/1"
-REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside.
+REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside; learned and
+unexplained pushes and effects with a memory are not in it.
 """
 
 
@@ -74,7 +75,8 @@ class Twin(Shown):
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write all files and twin.json into `folder`. Raises `OutputError` where one of them is
-        there already and `force` was not given; then nothing is written."""
+        there already and `force` was not given; then nothing is written. With `force`, files go
+        that the twin.json of an earlier twin lists and this one has not."""
         place = Path(folder)
         names = [*self.files, "twin.json"]
         there = [n for n in names if (place / n).exists()]
@@ -85,10 +87,31 @@ class Twin(Shown):
                 where=str(place),
                 fix="choose another --out, or add --force",
             )
+        for name in _listed(place) - set(names):
+            old = place / name
+            old.unlink(missing_ok=True)
+            if not any(old.parent.iterdir()):
+                old.parent.rmdir()
         for name, content in self.files.items():
             write_atomic(place / name, content)
         write_atomic(place / "twin.json", dump_json(self.to_dict()))
         return place
+
+
+def _listed(place: Path) -> set[str]:
+    """Files inside `place` that the twin.json there lists; none where it is no twin's."""
+    try:
+        names = read_json(place / "twin.json", schema=SCHEMA).get("files", [])
+    except FileFormatError:
+        return set()
+    inside = place.resolve()
+    return {
+        n
+        for n in (names if isinstance(names, list) else [])
+        if isinstance(n, str)
+        and (place / n).is_file()
+        and inside in (place / n).parent.resolve().parents
+    }
 
 
 def twin(
@@ -139,7 +162,7 @@ def twin(
     covered: tuple[Covered, ...] = ()
     if drawn is not None:
         files |= drawn.files()
-        notes.append(drawn.summary())
+        notes += [drawn.summary(), *drawn.notes]
         if check is not None:
             covered = coverage(model, drawn, check, seed=seed)
             notes.append(format_table(covered))

@@ -20,7 +20,8 @@ _TEXT = '''"""What {simulator} leaves out of {title}: written by greybox twin, n
     force, moment = rest(attitude, velocity, position, rate, nu)
     world_force, world_moment = in_world(attitude, force, moment)
 
-Apply it at the centre of mass in every step. Effects with a memory, lags and sensors are not in it.
+Apply it at the centre of mass in every step. Effects with a memory, learned and
+unexplained pushes, lags and sensors are not in it.
 """
 
 import math

@@ -9,6 +9,7 @@ from typing import Self
 from greybox.model.effect import Effect
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
+from greybox.symbolic import FloatArray
 
 THRUST_MAP, TORQUE_MAP, GRAVITY = "thrust map", "torque map", "gravity"
 CENTRE, GYROSCOPIC = "centre of mass", "gyroscopic moment"
@@ -112,10 +113,15 @@ def quadratic_maps(wording: Wording, *, thrust: str, torque: str) -> None:
         if not any(c[:2]):
             wording.add(Word(effect=name, status=Status.SAID, how=how))
             continue
-        fitted = float(c[0] + nu * (c[1] + nu * c[2])) / nu**2
+        fitted = square_at_hover(c, nu)
         values = {f"{key}.c0": 0.0, f"{key}.c1": 0.0, f"{key}.c2": fitted}
         text = f"{how}; only the square of the speed: equal at hover, nu = {nu:.3f}"
         wording.add(Word(effect=name, status=Status.FOLDED, how=text, change=Change(values=values)))
+
+
+def square_at_hover(c: FloatArray, nu: float) -> float:
+    """The coefficient of nu^2 alone that equals c0 + c1 nu + c2 nu^2 at nu."""
+    return float(c[2] + (c[0] + nu * c[1]) / nu**2)
 
 
 def fixed_gravity(wording: Wording, gravity: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import locale
 import re
 from dataclasses import replace
@@ -112,6 +113,31 @@ def test_existing_files_stay_and_nothing_is_half_written(
     assert [p for p in out.rglob("*") if p.is_file()] == [out / "rotorpy" / "sensors.toml"]
     assert (out / "rotorpy" / "sensors.toml").read_text() == "mine"
     assert main([*arguments, "--force"]) == 0
+
+
+def test_a_forced_twin_leaves_no_files_of_the_old_one(tmp_path: Path) -> None:
+    out, mine = tmp_path / "t", tmp_path / "mine"
+    lossy, whole = tmp_path / "lossy", tmp_path / "whole"
+    for folder in (lossy, whole):
+        folder.mkdir()
+    old = written(lossy, {"rotational_damping.d_p": 0.01})
+    arguments = ["--target", "rotorpy", "--out", str(out), "--force"]
+    assert main(["twin", old, *arguments, "--draws", "3"]) == 0
+    assert (out / "rotorpy" / "rest.py").exists() and (out / "draws").is_dir()
+    lost = (out / "rotorpy" / "LOST.txt").read_text()
+    assert "unexplained pushes and effects with a memory are not in it" in lost
+    for path in (mine, out / "rotorpy" / "notes.txt"):
+        path.write_text("mine")
+    listing = json.loads((out / "twin.json").read_text())
+    listing["files"] += ["../mine", str(mine), "rotorpy/../../mine", 7]
+    (out / "twin.json").write_text(json.dumps(listing))
+    assert main(["twin", written(whole, {}), *arguments]) == 0
+    left = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
+    listed = json.loads((out / "twin.json").read_text())["files"]
+    assert left == {*listed, "twin.json", "rotorpy/notes.txt"}
+    assert "rotorpy/rest.py" not in left
+    assert not (out / "draws").exists()
+    assert mine.read_text() == "mine"
 
 
 @pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet"])

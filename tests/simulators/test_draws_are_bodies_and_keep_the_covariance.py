@@ -6,16 +6,19 @@ from __future__ import annotations
 import io
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
+from greybox.simulators.command_text import command_text
 from greybox.simulators.draws import Draws, draw
 from greybox.simulators.targets import target_by_name
 from tests.simulators.identified import Array, identified
 from tests.simulators.test_written_numbers_give_the_wrench import rotation
+from tests.simulators.written import load
 
 NAMES = ("inertia.xx", "inertia.yy", "inertia.zz", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
 
@@ -70,6 +73,45 @@ def test_a_flat_craft_is_not_drawn_wider_than_it_is_known() -> None:
         sigma = np.sqrt(model.covariance[NAMES.index(name), NAMES.index(name)])
         assert draws.column(name).std() < 1.05 * sigma
         assert abs(draws.column(name).mean() - value) < sigma
+
+
+def test_a_moment_of_its_own_in_every_flight_is_drawn_as_a_bodys_too() -> None:
+    model = uncertain((0.03,) * 6)
+    zz = model.values["inertia.zz"]
+    spread = {"mass": (1.0, 0.02), "inertia.zz": (zz, 0.6 * zz)}
+    kept = [n for n in NAMES if n != "inertia.zz"]
+    at = [NAMES.index(n) for n in kept]
+    model = replace(
+        model,
+        covariance_names=tuple(kept),
+        covariance=model.covariance[np.ix_(at, at)],
+        flight_spread=spread,
+    )
+    draws = draw(model, 500, seed=1)
+    j = moments(draws)
+    assert (j[:, 0] > 0).all()
+    assert (j[:, 2] <= j[:, 0] + j[:, 1]).all()
+    assert draws.column("inertia.zz").std() > 0.2 * zz
+    assert draws.column("mass").std() == pytest.approx(0.02, rel=0.15)
+    alone = draw(replace(model, covariance_names=(), covariance=np.zeros((0, 0))), 500, seed=1)
+    j = moments(alone)
+    assert (j[:, 0] > 0).all() and (j[:, 2] <= j[:, 0] + j[:, 1]).all()
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.1 / 3, 1.7e-5 / 7])
+def test_a_flat_craft_whose_inertia_is_held_is_drawn(scale: float) -> None:
+    model = uncertain((0.1,) * 6)
+    flat = {"inertia.xx": scale, "inertia.yy": scale, "inertia.zz": 2 * scale}
+    at = [NAMES.index(n) for n in NAMES[3:]]
+    model = replace(
+        model,
+        values=model.values.replace(flat),
+        covariance_names=NAMES[3:],
+        covariance=model.covariance[np.ix_(at, at)],
+    )
+    draws = draw(model, 50, seed=1)
+    assert np.ptp(draws.column("inertia.zz")) == 0.0
+    assert draws.column("thrust.c2").std() > 0
 
 
 def test_a_seed_repeats_and_the_files_hold_the_draws() -> None:
@@ -127,6 +169,56 @@ def test_isaac_gets_inertia_in_body_axes() -> None:
         np.testing.assert_array_equal(fields["inertias"][i].reshape(3, 3), craft.inertia)
         weight = fields["rotor_constant"][i].sum() * (craft.speed_max * craft.hover_nu) ** 2
         assert weight == pytest.approx(craft.mass * craft.gravity)
+
+
+def asymmetric() -> Draws:
+    """A craft of uneven rotors, known within bounds, with drag."""
+    deltas = {"rotor_asymmetry.delta_1": 0.06, "rotor_asymmetry.delta_2": -0.02}
+    names = (*deltas, "rotor_asymmetry.delta_3")
+    model = identified({"motor_lag.tau": 0.05, "rotor_drag.k_x": 2e-5, "thrust.c1": 0.8, **deltas})
+    return draw(
+        replace(model, covariance_names=names, covariance=0.01**2 * np.eye(3)),
+        4,
+        seed=2,
+    )
+
+
+def test_uneven_rotors_push_as_their_craft_do_in_isaac_and_mjx(tmp_path: Path) -> None:
+    draws = asymmetric()
+    made = draws.files()
+    isaac, mjx = (
+        np.load(io.BytesIO(bytes(made[f"draws/{n}.npz"])))  # type: ignore[arg-type]
+        for n in ("isaac", "mjx")
+    )
+    (tmp_path / "commands.py").write_text(command_text(draws.craft))
+    (commands,) = load(tmp_path, "commands")
+    for i in range(len(draws)):
+        craft = draws.one(i)
+        nu = craft.hover_nu
+        c0, c1, c2 = craft.thrust
+        q0, q1, q2 = craft.torque
+        thrust = craft.strength * (c0 + nu * (c1 + nu * c2))
+        torque = craft.strength * (q0 + nu * (q1 + nu * q2))
+        rotors = commands.Rotors(nu)
+        omega = commands.SPEED_MAX * rotors.speeds(np.full(4, nu), 0.01)
+        np.testing.assert_allclose(isaac["rotor_constant"][i] * omega**2, thrust)
+        np.testing.assert_allclose(isaac["rolling_moment_coefficient"][i] * omega**2, torque)
+        for here in (nu, nu + 1e-3):
+            slope, offset = (mjx[f"actuator_{k}prm"][i, :, 0] for k in ("gain", "bias"))
+            full = craft.strength * (c0 + here * (c1 + here * c2))
+            np.testing.assert_allclose(offset + slope * here, full, rtol=1e-5)
+        assert (mjx["actuator_forcerange"][i, :, 1] >= thrust).all()
+
+
+def test_what_arrays_of_simulators_lack_is_said() -> None:
+    draws = asymmetric()
+    assert "draws/crazyflow.npz" not in draws.files()
+    lost, missing = draws.notes
+    assert "mjx.npz is without rotor_drag:" in lost
+    assert "no draws/crazyflow.npz" in missing and "rotor_asymmetry" in missing
+    even = draw(identified({"motor_lag.tau": 0.05}), 2)
+    assert even.notes == ()
+    assert "draws/crazyflow.npz" in even.files()
 
 
 def turned(quat: Array, moments: Array) -> Array:

@@ -36,7 +36,7 @@ FILES = {
     "px4": "sih.params",
 }
 
-GRAVITY = {"pybullet": 9.8, "px4": 9.80665, "gazebo": 9.80665}
+GRAVITY = {"px4": 9.80665, "gazebo": 9.80665}
 """Where the file does not hold it: what its simulator, or the reader, takes [m/s^2]."""
 
 

@@ -17,7 +17,6 @@ from scenarios.foreign.plant import MissingSimulator
 from scenarios.twins.written import FLYERS, Start
 from tests.simulators.identified import AERODYNAMICS, START, Array, identified, manoeuvre
 
-GRAVITY = {"pybullet": 9.8}
 NOT_SAID = {
     **AERODYNAMICS,
     "rotor_drag.k_y": 4e-5,
@@ -68,7 +67,7 @@ def test_what_it_folds_flies_as_the_statement_says(target: str, tmp_path: Path) 
     [pytest.param("rotorpy", marks=pytest.mark.slow), "drone-models", "crazyflow", "pybullet"],
 )
 def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Path) -> None:
-    model = identified(NOT_SAID, gravity=GRAVITY.get(target, 9.80665))
+    model = identified(NOT_SAID, gravity=9.80665)
     (statement,) = twin(model, [target], out=tmp_path).statements
     craft = Craft.of(model)
     u = manoeuvre(craft.hover_nu)
@@ -77,6 +76,15 @@ def test_with_the_rest_every_simulator_flies_the_model(target: str, tmp_path: Pa
     assert max(apart.values()) < 0.01, apart
     without = agreement(ours, fly(statement.spoken, START, u, 0.01)[:13])
     assert without["rate"] > 0.05, "what is left out can be seen"
+
+
+def test_gravity_that_pybullet_fixes_is_a_row() -> None:
+    def rows(gravity: float) -> dict[str, tuple[Status, float | None]]:
+        (statement,) = twin(identified({}, gravity=gravity), ["pybullet"]).statements
+        return {r.word.effect: (r.word.status, r.word.change.gravity) for r in statement.rows}
+
+    assert rows(9.80665)["gravity"] == (Status.FOLDED, 9.8)
+    assert "gravity" not in rows(9.8)
 
 
 def test_nothing_is_left_over_where_everything_is_said(tmp_path: Path) -> None:

@@ -309,6 +309,12 @@ def test_ardupilot(further: Mapping[str, float]) -> None:
     apart = [
         np.abs(np.concatenate(motion(k)) - ours) for k, ours in enumerate(accelerations(craft, s).T)
     ]
+    p = dict(r.split(",") for r in files["motors.parm"].splitlines() if r[0] != "#")
+    assert float(p["SIM_WIND_SPD"]) == pytest.approx(np.linalg.norm(wind))
+    assert int(p["SIM_WIND_T"]) == 1, "0 would scale the wind by the root of height over 60 m"
+    said = {w.effect: w.how for w in target_by_name("ardupilot").words(Craft.of(identified(values)))}
+    assert "first 5 s" in said["steady_wind"]
+    assert "air density" in said["thrust map"]
     # drag goes with the root of the thrust, which is the speed only where c1 = 0; the statement has
     # the yaw torque to second degree in the command, SITL to third
     forces = 1e-9 if not further else 0.02

@@ -156,7 +156,8 @@ class ArduPilot:
                 values={f"rotational_damping.d_{a}": rate * float(craft.inertia[i, i]) for i, a in enumerate("pqr")}
             ),
         )
-        w.said("steady_wind", "SIM_WIND_SPD, SIM_WIND_DIR, SIM_WIND_DIR_Z")
+        wind = "SIM_WIND_SPD, SIM_WIND_DIR, SIM_WIND_DIR_Z, with SIM_WIND_T 1 at any height"
+        w.said("steady_wind", f"{wind}; SITL has no wind in its first 5 s")
         w.lost("motor_lag", "motors follow at once; slew_max is a limit of their rate")
         w.lost("products_of_inertia", "moment_inertia has three numbers")
         w.add(
@@ -175,10 +176,11 @@ class ArduPilot:
     def _maps(self, w: Wording) -> None:
         craft = w.craft
         c1, c2 = thrust_of_command(craft)
-        how = "hoverThrOut, propExpo"
+        how = "hoverThrOut, propExpo, at sea level; SITL scales thrust with the air density at "
+        how += "the craft's altitude, home's included"
         values = {"thrust.c0": 0.0, "thrust.c1": c1, "thrust.c2": c2}
         if craft.thrust[0] or "thrust_curve" in craft.effects:
-            how += ": value and slope at hover"
+            how += "; value and slope at hover"
             change = Change(values=values)
             w.add(Word(effect=THRUST_MAP, status=Status.FOLDED, how=how, change=change))
         else:
@@ -307,6 +309,7 @@ def _motors(craft: Craft, frame: str) -> str:
     }
     wind = craft.vector("steady_wind.w_")
     if wind.any():  # it blows from there; north is our y
+        rows["SIM_WIND_T"] = 1  # without it wind grows with the root of the height up to 60 m
         rows["SIM_WIND_SPD"] = float(np.linalg.norm(wind))
         rows["SIM_WIND_DIR"] = math.degrees(math.atan2(-wind[0], -wind[1])) % 360.0
         rows["SIM_WIND_DIR_Z"] = math.degrees(math.atan2(wind[2], math.hypot(wind[0], wind[1])))

@@ -9,6 +9,7 @@ which lies ALONG the airspeed (gz-sim, systems/multicopter_motor_model/Multicopt
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -121,7 +122,7 @@ class Gazebo:
         w.said("steady_wind", "<wind> of the world")
         w.lost("blade_flapping", "the plugin's rolling moment lies along the airspeed, not across")
         for name in ("gyro_bias", "accelerometer_bias"):
-            w.said(name, "bias_mean of the IMU")
+            w.said(name, "mean of the IMU's noise")
         for name in ("command_delay", "command_saturation", "thrust_curve", "battery_sag"):
             w.lost(name, "the command is a rotor speed; put it before the motors")
         return w.finish()
@@ -227,19 +228,28 @@ def _sdf(craft: Craft, version: str, kind: Mapping[str, str]) -> str:
 
 
 def _noise(craft: Craft, names: tuple[str, ...], sensor: str) -> str:
-    """White noise, bias, and as dynamic bias the Gauss-Markov noise of the model."""
+    """White noise about the bias, and as dynamic bias the Gauss-Markov noise of the model.
+
+    The bias is the noise's mean: of bias_mean gz-sensors takes the negative in every other run
+    (src/GaussianNoiseModel.cc). Its dynamic_bias_stddev s is a density: the bias keeps
+    exp(-dt/T) of itself and gains noise of variance s^2 T/2 (1 - exp(-2 dt/T)) a step, so that it
+    settles at s sqrt(T/2).
+    """
     sigma = craft.noise(names)
     if sigma is None:
         return ""
     mean = np.array([craft.source.values.get(f"{sensor}_bias.b_{a}", 0.0) for a in "xyz"])
     walk = coloured_parts(craft, sensor).get("coloured")
-    further = "" if walk is None else (
-        f"<dynamic_bias_stddev>{walk['sigma']!r}</dynamic_bias_stddev>"
-        f"<dynamic_bias_correlation_time>{walk['T']!r}</dynamic_bias_correlation_time>"
-    )
+    further = ""
+    if walk is not None:
+        level = walk["sigma"] * math.sqrt(2.0 / walk["T"])
+        further = (
+            f"<dynamic_bias_stddev>{level!r}</dynamic_bias_stddev>"
+            f"<dynamic_bias_correlation_time>{walk['T']!r}</dynamic_bias_correlation_time>"
+        )
     axes = [
-        f'<{a}><noise type="gaussian"><mean>0</mean><stddev>{float(s)!r}</stddev>'
-        f"<bias_mean>{float(m)!r}</bias_mean>{further}</noise></{a}>"
+        f'<{a}><noise type="gaussian"><mean>{float(m)!r}</mean><stddev>{float(s)!r}</stddev>'
+        f"<bias_mean>0</bias_mean>{further}</noise></{a}>"
         for a, s, m in zip("xyz", sigma, mean, strict=True)
     ]
     return "".join(axes)

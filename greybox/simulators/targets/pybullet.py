@@ -23,10 +23,12 @@ from greybox.model.parameter import Parameter
 from greybox.simulators.change import Change
 from greybox.simulators.command_text import command_text, say_commands
 from greybox.simulators.craft import Craft
-from greybox.simulators.words import Word, Wording, quadratic_maps
+from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps
 from greybox.symbolic import Expr, FloatArray
 
 PER_MINUTE = 60.0 / (2.0 * math.pi)
+GRAVITY = 9.8
+"""Of BaseAviary [m/s^2]."""
 
 _XML = """<?xml version="1.0" ?>
 <robot name="{name}">
@@ -102,6 +104,7 @@ class PyBullet:
         order(craft)
         w = Wording(craft, self.simulator)
         quadratic_maps(w, thrust="kf", torque="km")
+        fixed_gravity(w, GRAVITY)
         say_commands(w)
         w.said("motor_lag", "commands.Rotors").said("motor_lag_asymmetry", "commands.Rotors")
         for name in ("center_of_mass_offset", "products_of_inertia", "payload_mass"):
