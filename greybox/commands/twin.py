@@ -69,7 +69,11 @@ def add(commands: Any) -> None:
         help="flights that no fit saw: how many of them the drawn craft hold in their 95 %% band, "
         "beside a box of +-30 %% (needs --draws)",
     )
-    p.add_argument("--force", action="store_true", help="write over existing files")
+    p.add_argument(
+        "--force",
+        action="store_true",
+        help="write over existing files, and remove those of the twin that was there",
+    )
     p.add_argument(
         "--effects-file",
         nargs="+",

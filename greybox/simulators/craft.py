@@ -10,8 +10,10 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from greybox.errors import ModelError
 from greybox.model.effect import Effect
@@ -248,7 +250,7 @@ class Craft:
         return np.array([self.sensor_noise[n] for n in names])
 
 
-def of_a_body(moments: FloatArray) -> BoolArray:
+def of_a_body(moments: npt.NDArray[np.floating[Any]]) -> BoolArray:
     """Whether principal moments (..., 3), smallest first, are positive and the largest is at most
     the sum of the other two, which it is for a flat body."""
     low, middle, high = (moments[..., k] for k in range(3))

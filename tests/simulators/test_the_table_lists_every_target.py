@@ -60,8 +60,9 @@ def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
     jsonschema.validate(json.loads((folder / "twin.json").read_text()), schema)
 
 
-def test_files_that_exist_stay_unless_forced(folder: Path) -> None:
-    model = identified({"motor_lag.tau": 0.06})
+def test_files_that_exist_stay_unless_forced(tmp_path: Path) -> None:
+    folder, model = tmp_path, identified({"motor_lag.tau": 0.06})
+    gb.twin(identified({"motor_lag.tau": 0.05}), ["rotorpy"], out=folder)
     before = (folder / "rotorpy" / "vehicle.py").read_text()
     with pytest.raises(OutputError, match="exist"):
         gb.twin(model, ["rotorpy"], out=folder)
