@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import shlex
 import tomllib
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import greybox
 from greybox.cli import main
 from greybox.data.column_guess import guess_columns, guess_time, mapping_text
 from greybox.data.inspection import inspect_log
@@ -122,6 +124,13 @@ def test_a_stranger_is_told_what_to_do(
     assert "inspect log.csv.gz --draft map.toml" in said
     assert "vehicle new --template" in said
     assert main(["inspect", "log.csv.gz", "--draft", "map.toml"]) == 1
+    Path("map.toml").write_text(edited := Path("map.toml").read_text() + "# looked over\n")
+    capsys.readouterr()
+    assert main(["inspect", "log.csv.gz", "--draft", "map.toml"]) == 2
+    assert "map.toml: the file exists" in (refused := capsys.readouterr().err)
+    assert (refused.count("\n"), Path("map.toml").read_text()) == (1, edited)
+    assert main(["inspect", "log.csv.gz", "--draft", "map.toml", "--force"]) == 1
+    assert "looked over" not in Path("map.toml").read_text()
     assert main(["inspect", "log.csv.gz", "--mapping", "map.toml"]) == 0
     assert "greybox check --mapping map.toml --vehicle V.toml log.csv.gz" in capsys.readouterr().out
     Path("mine.toml").write_text(vehicle_path("arpl_crazyflie").read_text())
@@ -129,6 +138,18 @@ def test_a_stranger_is_told_what_to_do(
     assert "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml" in capsys.readouterr().out
     assert main(["inspect", "log.csv.gz", "--vehicle", "mine.toml"]) == 0
     assert "greybox fit --vehicle mine.toml --train log.csv.gz" in capsys.readouterr().out
+
+
+def test_the_frame_of_a_guess_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {n: np.broadcast_to(np.asarray(v, dtype=float), 50) for n, v in IN_WORDS.items()}
+    rows = "\n".join(",".join(str(c[i]) for c in columns.values()) for i in range(50))
+    (tmp_path / "log.csv").write_text(",".join(columns) + "\n" + rows)
+    main(["inspect", str(tmp_path / "log.csv"), "--json", str(tmp_path / "found.json")])
+    assert "Gyro Z (deg/s), deg/s, FRD  (" in capsys.readouterr().out
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert {g["group"]: g["frame"] for g in content["looks_like"]}["position"] == "NED"
+    schema = json.loads((Path(greybox.__file__).parent / "schemas/inspect.json").read_text())
+    assert set(content["looks_like"][0]) == set(schema["properties"]["looks_like"]["items"]["required"])
 
 
 def test_the_way_on_can_be_typed_for_a_file_from_windows(
