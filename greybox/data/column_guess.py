@@ -29,8 +29,8 @@ _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
     "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
 }
-_OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*"
-"""Words of an attitude, which a setpoint of the position has not."""
+_OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
+"""Words of what else is set: attitude, force and moment."""
 _UNITS = {
     "rate": {"deg/s": "deg/s", "\N{DEGREE SIGN}/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"},
     "specific_force": {"m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s\N{SUPERSCRIPT TWO}": "m/s^2", "g": "g", "mg": "mg"},

@@ -61,6 +61,7 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         (["vel_setpoint_x", "vel_setpoint_y", "vel_setpoint_z"], [[1, 0, 0.2]], None),
         (["v_sp_x", "v_sp_y", "v_sp_z"], [[1, 0, 0.2]], None),
         (["att_sp_x", "att_sp_y", "att_sp_z"], [[0.1, 0, 0.2]], None),
+        (["thrust_sp_x", "thrust_sp_y", "thrust_sp_z"], [[0, 0, 0.2]], None),
         (["target_vel_x", "target_vel_y", "target_vel_z"], [[1, 0, 0.2]], None),
         (["pos_sp_x", "pos_sp_y", "pos_sp_z"], [[1, 0, 0.2]], ("setpoint", "m", None)),
     ],
