@@ -67,6 +67,12 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> Path:
     return target
 
 
+def no_overwriting(path: str | os.PathLike[str], option: str, *, force: bool) -> None:
+    """Refuse a file that is there already, which may have been edited by hand. Raises `OutputError`."""
+    if Path(path).is_file() and not force:
+        raise OutputError("the file exists", where=os.fspath(path), fix=f"choose another {option}, or add --force")
+
+
 def withdraw(folder: str | os.PathLike[str], *names: str) -> None:
     """Remove results of an earlier run before the first of this run is written.
 

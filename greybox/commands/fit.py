@@ -250,7 +250,10 @@ def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared,
 
 
 def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
-    """What `greybox inspect` says first of training logs that no model can be fitted to, before any work."""
+    """What `greybox inspect` says first of training logs that no model can be fitted to, before anything is estimated.
+
+    Reads the logs once more: what was read for the fit has not the rates of the log's own streams.
+    """
     from greybox.data.inspection import inspect_log
 
     found = [(path, inspect_log(path, vehicle, mapping=arguments.mapping).unfit) for path in arguments.train]

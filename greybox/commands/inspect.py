@@ -25,6 +25,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--out", metavar="LOG.csv", help="write the canonical channels to this CSV file (.csv or .csv.gz)")
     p.add_argument("--draft", metavar="MAP.toml", help="write what columns with names of their own look like as a mapping "
                    "file, to be looked over")  # fmt: skip
+    p.add_argument("--force", action="store_true", help="let --draft write over an existing file")
     p.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
     p.set_defaults(run=run, one_file=True)
 
@@ -35,9 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.inspection import inspect_log
     from greybox.data.logs.write import write_csv
     from greybox.errors import DataError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import dump_json, no_overwriting, write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
 
+    if arguments.draft:
+        no_overwriting(arguments.draft, "--draft", force=arguments.force)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
     found = inspect_log(arguments.log, vehicle, mapping=arguments.mapping)
     content = found.to_dict()
@@ -45,7 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     content["uses"] = uses(found)
     guesses, time = looks(found, named=bool(arguments.mapping))
     content["looks_like"] = [
-        {"group": g.group, "fields": list(g.fields), "unit": g.unit, "limits": g.limits, "why": g.why} for g in guesses
+        {"group": g.group, "fields": list(g.fields), "unit": g.unit, "frame": g.frame, "limits": g.limits, "why": g.why}
+        for g in guesses
     ]
     content["next"] = advice(found, content, arguments, beside(arguments.log, found) if vehicle is None else None)
     written = None
@@ -224,8 +228,9 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
     if content["looks_like"]:
         lines += ["", "LOOKS LIKE  a guess from names and sizes; nothing of it is used by itself"]
         for g in content["looks_like"]:
-            scale = f" {g['unit']}" if g["unit"] else f" {g['limits'][0]:g} to {g['limits'][1]:g}" if g["limits"] else ""
-            lines.append(f"  {g['group']}: {', '.join(g['fields'])}{scale and ','}{scale}  ({g['why']})")
+            span = f"{g['limits'][0]:g} to {g['limits'][1]:g}" if g["limits"] else ""
+            said = ", ".join(part for part in (*g["fields"], g["unit"], span, g["frame"]) if part)
+            lines.append(f"  {g['group']}: {said}  ({g['why']})")
     guessed = {g["group"] for g in content["looks_like"]}
     if content["missing"] and not content["problem"]:
         lines += ["", "MISSING"]

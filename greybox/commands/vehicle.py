@@ -65,14 +65,13 @@ def add(subparsers: Any) -> None:
 
 def run_new(arguments: argparse.Namespace) -> int:
     """Write the file. Returns 0. Raises `VehicleError`, `UnknownNameError`, `OutputError`."""
-    from pathlib import Path
-
     from greybox.errors import VehicleError
+    from greybox.files import no_overwriting
     from greybox.model.vehicle_template import TEMPLATES as KNOWN
     from greybox.model.vehicle_template import settings, vehicle_text
 
-    if arguments.out and Path(arguments.out).exists() and not arguments.force:
-        raise VehicleError("the file exists", where=arguments.out, fix="choose another --out, or add --force")
+    if arguments.out:
+        no_overwriting(arguments.out, "--out", force=arguments.force)
     changes = settings(arguments.changes)
     name = arguments.template
     if arguments.log:

@@ -29,8 +29,10 @@ _NUMBERED = {
     "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
     "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
 }
+_OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
+"""Words of what else is set: attitude, force and moment."""
 _UNITS = {
-    "rate": {"deg/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"},
+    "rate": {"deg/s": "deg/s", "\N{DEGREE SIGN}/s": "deg/s", "dps": "deg/s", "rad/s": "rad/s"},
     "specific_force": {"m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s\N{SUPERSCRIPT TWO}": "m/s^2", "g": "g", "mg": "mg"},
     "rotor_speed": {"rpm": "rpm", "rad/s": "rad/s", "hz": "Hz"},
     "battery": {"v": "V", "mv": "mV"},
@@ -38,8 +40,11 @@ _UNITS = {
     "position": {"m": "m", "mm": "mm"},
     "setpoint": {"m": "m", "mm": "mm"},
     "velocity": {"m/s": "m/s", "mm/s": "mm/s"},
+    "command": {"us": "", "\N{MICRO SIGN}s": "", "%": "", "1": ""},
+    "temperature": {"c": "", "\N{DEGREE SIGN}c": "", "degc": "", "k": ""},
+    "current": {"a": "", "ma": "", "mah": ""},
 }
-"""Units as names of columns say them, "Gyro X (deg/s)", per group."""
+"""Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of another group is none."""
 _UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
 _LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
 _TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
@@ -61,32 +66,36 @@ class Guess:
 def guess_columns(columns: Mapping[str, FloatArray], without: Iterable[str] = ()) -> tuple[Guess, ...]:
     """Groups that columns (name -> (N,) numbers) look like, one guess a group; groups of `without` are left out."""
     found: dict[str, list[tuple[str, ...]]] = {}
-    for stem, members in _families(columns, _AXES).items():
+
+    def take(group: str, names: Sequence[str]) -> None:
+        if _may_be(group, names[0]):
+            found.setdefault(group, []).append(tuple(names))
+
+    for stem, members in _families(columns, _AXES):
         if set(members) == {0, 1, 2}:
-            for group, words in _WORDS.items():
-                if _says(stem, words):
-                    found.setdefault(group, []).append(tuple(members[i] for i in range(3)))
-                    break
-    for stem, members in _families(columns, {str(i): i for i in range(13)}).items():
+            group = _meant(stem)
+            if group:
+                take(group, [members[i] for i in range(3)])
+    for stem, members in _families(columns, {str(i): i for i in range(13)}):
         first = min(members)
         if first in (0, 1) and set(members) == set(range(first, first + len(members))) and 3 <= len(members) <= 8:
-            for group, words in _NUMBERED.items():
-                if _says(stem, words):
-                    found.setdefault(group, []).append(tuple(members[i] for i in sorted(members)))
-                    break
-    for members in _families(columns, {"w": 0, "x": 1, "y": 2, "z": 3}).values():
-        if len(members) == 4:
-            found.setdefault("attitude", []).append(tuple(members[i] for i in range(4)))
-    for members in _families(columns, {"roll": 0, "pitch": 1, "yaw": 2}).values():
-        if len(members) == 3:
-            found.setdefault("attitude", []).append(tuple(members[i] for i in range(3)))
-    for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}).items():
-        if len(members) == 3:
-            group = "velocity" if _says(stem, _WORDS["velocity"]) else "position"
-            found.setdefault(group, []).append(tuple(members[i] for i in range(3)))
+            group = next((g for g, words in _NUMBERED.items() if _says(stem, words)), "")
+            if group and _unit_of(members[first]) in _UNITS["rotor_speed"]:
+                group = "rotor_speed"
+            if group and not (group == "rotor_speed" and _wanted(stem)):
+                take(group, [members[i] for i in sorted(members)])
+    for ends in ({"w": 0, "x": 1, "y": 2, "z": 3}, {"roll": 0, "pitch": 1, "yaw": 2}):
+        for stem, members in _families(columns, ends):
+            if len(members) == len(ends) and not _wanted(stem):
+                take("attitude", [members[i] for i in range(len(ends))])
+    for stem, members in _families(columns, {"north": 0, "east": 1, "down": 2}):
+        if len(members) == 3 and not _wanted(stem):
+            take("velocity" if _says(stem, _WORDS["velocity"]) else "position", [members[i] for i in range(3)])
     for name in columns:
-        if re.search(r"v_?bat|volt|battery", name.lower()):
-            found.setdefault("battery", []).append((name,))
+        low = name.lower()
+        volts = re.search(r"v_?bat|volt", low) or ("bat" in low and _unit_of(name) in _UNITS["battery"])
+        if volts and not re.search(r"temp|curr|perc|pct|(?<![a-z])soc(?![a-z])", low):
+            take("battery", [name])
     left_out = set(without)
     return _framed(
         _sized(group, min(found[group], key=lambda names: bool(_LESS.search(names[0].lower()))), columns)
@@ -124,9 +133,9 @@ def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
         "# A guess from names and sizes: look over axes, units and the order of the rotors.",
     ]
     if time is not None:
-        lines += ["[time]", f"field = {json.dumps(time[0])}", f'unit = "{time[1]}"']
+        lines += ["[time]", f"field = {_quoted(time[0])}", f'unit = "{time[1]}"']
     for g in guesses:
-        lines += [f"[{g.group}]", f"fields = [{', '.join(json.dumps(f) for f in g.fields)}]"]
+        lines += [f"[{g.group}]", f"fields = [{', '.join(_quoted(f) for f in g.fields)}]"]
         lines += [f'unit = "{g.unit}"'] if g.unit else []
         lines += [f'frame = "{g.frame}"'] if g.frame else []
         lines += [f"limits = [{g.limits[0]:g}, {g.limits[1]:g}]"] if g.limits else []
@@ -134,20 +143,51 @@ def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _families(columns: Iterable[str], ends: Mapping[str, int]) -> dict[str, dict[int, str]]:
-    """stem -> {place: column} of columns whose names differ in their end only: gyro.x, gyroADC[0], motor_m1, qw."""
-    out: dict[str, dict[int, str]] = {}
+def _quoted(name: str) -> str:
+    """A name as a string of TOML, which has no surrogates and no bare DEL."""
+    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def _families(columns: Iterable[str], ends: Mapping[str, int]) -> Iterable[tuple[str, dict[int, str]]]:
+    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw."""
+    out: dict[tuple[str, str], dict[int, str]] = {}
     for name in columns:
         pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*"
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
-            out.setdefault(match[1].lower(), {}).setdefault(ends[match[2].lower()], name)
-    return out
+            out.setdefault((match[1].lower(), _unit_of(name)), {}).setdefault(ends[match[2].lower()], name)
+    return [(stem, members) for (stem, _), members in out.items()]
 
 
 def _bare(name: str) -> str:
     """A name without the unit that it ends with."""
     return _UNIT.sub("", name)
+
+
+def _unit_of(name: str) -> str:
+    """The unit that a name ends with, in small letters; "" where it states none."""
+    said = _UNIT.search(name)
+    return said[1].lower() if said else ""
+
+
+def _may_be(group: str, name: str) -> bool:
+    """Whether the unit of a name is one of this group, or of none."""
+    unit = _unit_of(name)
+    return unit in _UNITS.get(group, {}) or not any(unit in units for units in _UNITS.values())
+
+
+def _wanted(stem: str) -> bool:
+    """Whether a stem says what is wanted and not what is measured."""
+    return any(re.fullmatch(_WORDS["setpoint"], word) for word in re.split(r"[\W_]+", stem))
+
+
+def _meant(stem: str) -> str:
+    """The group that the stem of three axes says; a setpoint is one of the position, where it says of what. "": none."""
+    if _wanted(stem):
+        words = re.split(r"[\W_]+", stem)
+        others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
+        return "" if any(re.fullmatch(o, word) for o in others for word in words) else "setpoint"
+    return next((group for group, words in _WORDS.items() if _says(stem, words)), "")
 
 
 def _says(stem: str, words: str) -> bool:
@@ -178,7 +218,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         limits = next((r for r in ranges if high <= 1.05 * r[1] and low >= r[0] - 0.1 * (r[1] - r[0])), None)
         limits = None if limits == (0.0, 1.0) else limits
     elif group == "rotor_speed":
-        unit = "rpm" if size > 4000 else "rad/s"
+        unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
     elif group == "battery":
         unit = "mV" if float(np.median(values)) > 200 else "V"
     elif group == "attitude" and len(names) == 3:
@@ -189,8 +229,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         unit = "mm/s" if size > 100 else "m/s"
     if group in ("position", "velocity") and "down" in names[2].lower():
         frame = "NED"
-    said = _UNIT.search(names[0])
-    stated = _UNITS.get(group, {}).get(said[1].lower(), unit) if said else unit
+    stated = _UNITS.get(group, {}).get(_unit_of(names[0]), unit)
     if group == "specific_force" and stated != unit:
         why = f"middle length {norm:.3g}: not gravity in that unit"
     unit = stated

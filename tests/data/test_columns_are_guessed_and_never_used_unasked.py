@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import greybox
 from greybox.cli import main
 from greybox.data.column_guess import guess_columns, guess_time, mapping_text
 from greybox.data.inspection import inspect_log
@@ -48,6 +51,19 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         (["att.roll", "att.pitch", "att.yaw"], [[10, -20, 170]], ("attitude", "deg", None)),
         (["VBAT"], [[15800]], ("battery", "mV", None)),
         (["temp1", "temp2", "temp3"], [[20, 21, 22]], None),
+        ([f"ESC {i} (RPM)" for i in (1, 2, 3, 4)], [[3000, 3100, 2900, 3050]], ("rotor_speed", "rpm", None)),
+        ([f"Motor {i} (Hz)" for i in (1, 2, 3, 4)], [[200, 210, 190, 205]], ("rotor_speed", "Hz", None)),
+        ([f"ESC {i} (A)" for i in (1, 2, 3, 4)], [[2, 3, 2, 3]], None),
+        (["rpm1", "rpm2", "rpm3", "rpm4"], [[1300, 3400, 1400, 3300]], ("rotor_speed", "rpm", None)),
+        ([f"target_rpm_{i}" for i in (1, 2, 3, 4)], [[1300, 3400, 1400, 3300]], None),
+        (["battery_temperature"], [[31]], None),
+        (["battery_soc"], [[90]], None),
+        (["vel_setpoint_x", "vel_setpoint_y", "vel_setpoint_z"], [[1, 0, 0.2]], None),
+        (["v_sp_x", "v_sp_y", "v_sp_z"], [[1, 0, 0.2]], None),
+        (["att_sp_x", "att_sp_y", "att_sp_z"], [[0.1, 0, 0.2]], None),
+        (["thrust_sp_x", "thrust_sp_y", "thrust_sp_z"], [[0, 0, 0.2]], None),
+        (["target_vel_x", "target_vel_y", "target_vel_z"], [[1, 0, 0.2]], None),
+        (["pos_sp_x", "pos_sp_y", "pos_sp_z"], [[1, 0, 0.2]], ("setpoint", "m", None)),
     ],
 )
 def test_names_and_sizes(names: list[str], values: list[list[float]], expected: tuple[str, str, object] | None) -> None:
@@ -79,6 +95,19 @@ def test_units_in_names_count_before_sizes_and_a_negative_z_turns_the_frame() ->
     assert "not gravity" in next(g.why for g in guess_columns(weak) if g.group == "specific_force")
 
 
+def test_the_battery_is_the_column_of_volts_wherever_it_stands_and_units_part_families() -> None:
+    names = ["battery_temperature", "battery_voltage", *(f"ESC {i} ({u})" for u in ("A", "RPM") for i in range(1, 5))]
+    found = {g.group: g.fields for g in guess_columns({n: np.full(50, 12.0) for n in names})}
+    assert found == {"battery": ("battery_voltage",), "rotor_speed": tuple(names[-4:])}
+
+
+def test_a_draft_is_toml_whatever_the_names_hold() -> None:
+    names = tuple(f'\N{HELICOPTER} "gyro"\\\x7f\t.{a}' for a in "xyz")
+    guesses = guess_columns({n: np.full(50, 0.1) for n in names})
+    read = tomllib.loads(mapping_text(guesses, (names[0], "s")))
+    assert (tuple(read["rate"]["fields"]), read["time"]["field"]) == (names, names[0])
+
+
 @pytest.mark.parametrize(("step", "unit"), [(0.002, "s"), (4.0, "ms"), (1000.0, "us"), (2e6, "ns")])
 def test_the_clock_is_told_by_its_steps(step: float, unit: str) -> None:
     columns = {"loop": np.arange(50.0), "time": step * np.arange(50.0), "t2": np.zeros(50)}
@@ -96,6 +125,13 @@ def test_a_stranger_is_told_what_to_do(
     assert "inspect log.csv.gz --draft map.toml" in said
     assert "vehicle new --template" in said
     assert main(["inspect", "log.csv.gz", "--draft", "map.toml"]) == 1
+    Path("map.toml").write_text(edited := Path("map.toml").read_text() + "# looked over\n")
+    capsys.readouterr()
+    assert main(["inspect", "log.csv.gz", "--draft", "map.toml"]) == 2
+    assert "map.toml: the file exists" in (refused := capsys.readouterr().err)
+    assert (refused.count("\n"), Path("map.toml").read_text()) == (1, edited)
+    assert main(["inspect", "log.csv.gz", "--draft", "map.toml", "--force"]) == 1
+    assert "looked over" not in Path("map.toml").read_text()
     assert main(["inspect", "log.csv.gz", "--mapping", "map.toml"]) == 0
     assert "greybox check --mapping map.toml --vehicle V.toml log.csv.gz" in capsys.readouterr().out
     Path("mine.toml").write_text(vehicle_path("arpl_crazyflie").read_text())
@@ -103,6 +139,18 @@ def test_a_stranger_is_told_what_to_do(
     assert "mine.toml knows these columns: greybox inspect log.csv.gz --vehicle mine.toml" in capsys.readouterr().out
     assert main(["inspect", "log.csv.gz", "--vehicle", "mine.toml"]) == 0
     assert "greybox fit --vehicle mine.toml --train log.csv.gz" in capsys.readouterr().out
+
+
+def test_the_frame_of_a_guess_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    columns = {n: np.broadcast_to(np.asarray(v, dtype=float), 50) for n, v in IN_WORDS.items()}
+    rows = "\n".join(",".join(str(c[i]) for c in columns.values()) for i in range(50))
+    (tmp_path / "log.csv").write_text(",".join(columns) + "\n" + rows)
+    main(["inspect", str(tmp_path / "log.csv"), "--json", str(tmp_path / "found.json")])
+    assert "Gyro Z (deg/s), deg/s, FRD  (" in capsys.readouterr().out
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert {g["group"]: g["frame"] for g in content["looks_like"]}["position"] == "NED"
+    schema = json.loads((Path(greybox.__file__).parent / "schemas/inspect.json").read_text())
+    assert set(content["looks_like"][0]) == set(schema["properties"]["looks_like"]["items"]["required"])
 
 
 def test_the_way_on_can_be_typed_for_a_file_from_windows(

@@ -13,6 +13,7 @@ import pytest
 from greybox.data.checks import check
 from greybox.data.checks.finding import CheckReport
 from greybox.data.checks.mixture import mixture
+from greybox.data.checks.relations import Reading, Tried, better_reading, mixed, moments
 from tests.data.faults import real, vehicle
 from tests.hardening.channel_faults import CHANNEL_FAULTS
 
@@ -101,3 +102,19 @@ def test_readings_that_differ_by_a_constant_matrix_are_not_told_apart_by_the_way
     x = np.random.default_rng(3).normal(size=(400, 3))
     weight, _ = mixture(x, x, x @ np.diag([1.0, -1.0, 0.5]), np.arange(0, 400, 40)).weights()
     assert np.isnan(weight)
+
+
+@pytest.mark.parametrize(("apart", "told"), [(0.01, False), (0.1, True)])
+def test_readings_that_differ_by_less_than_sensors_resolve_are_not_told_apart(apart: float, told: bool) -> None:
+    """What sensors leave, here 0.1 % of the motion, may look like a step to a reading that differs by less."""
+    draw = np.random.default_rng(5)
+    x, d = draw.normal(size=(2, 2000, 3))
+    y = x + 0.9 * apart * d + 0.03 * draw.normal(size=x.shape)
+    readings = [Reading(text=t, fix="", y=y, x=z) for t, z in (("", x), ("another", x + apart * d))]
+    tried = []
+    for r in readings:
+        sums = moments(r, 0.01, 8, 0.0)
+        assert sums is not None
+        tried.append(Tried(text=r.text, fix="", sums=sums, mixed=mixed(readings[0], r, 0.01, 8, 0.0)))
+    assert tried[1].sums.total().share(np.eye(3)) > tried[0].sums.total().share(np.eye(3)) > 0.98
+    assert (better_reading(tried, ("ax", "ay", "az"), "") is not None) is told

@@ -6,6 +6,9 @@ comparing these shares says nothing. But y = M x + w d, with any constant matrix
 where the first reading is true and with w = 1 where the second is: mounting, factors and axes go
 into M, and what is left of d is what no constant matrix makes of x. The partial regression of
 Frisch and Waugh (Econometrica 1(4), 1933) gives w without solving for M.
+
+Sound sensors leave a part of the motion unexplained, and it is no white noise: levers, filters and
+clocks follow the motion. Where what is left of d is smaller than that, w weighs them and not the readings.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ from greybox.data.checks.signals import FloatArray
 
 LEAST = 1e-9
 """A share of d below which M x explains all of it: rounding."""
+FLOOR = 5e-4
+"""The share of the motion that sound sensors leave unexplained: readings that differ by less are one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +39,7 @@ class Mixture:
 
     def weights(self) -> tuple[float, FloatArray]:
         """Weight w of the second reading, and the weights (B,) with one block left out each; w is
-        NaN where the readings differ by a constant matrix alone."""
+        NaN where the readings differ by a constant matrix alone, or by less than sensors resolve."""
         every = [np.asarray(m.sum(axis=0)) for m in (self.xx, self.xd, self.dd, self.xy, self.dy)]
         blocks = (self.xx, self.xd, self.dd, self.xy, self.dy)
         others = [total - part for total, part in zip(every, blocks, strict=True)]
@@ -68,5 +73,6 @@ def _weight(sums: Sequence[FloatArray]) -> FloatArray:
     through = xd.swapaxes(1, 2) @ np.linalg.pinv(xx, hermitian=True)
     left = np.trace(dd - through @ xd, axis1=1, axis2=2)
     told = np.trace(dy - through @ xy, axis1=1, axis2=2)
-    seen = left > LEAST * np.trace(dd, axis1=1, axis2=2)
+    size, apart = (np.trace(m, axis1=1, axis2=2) for m in (xx, dd))
+    seen = (left > LEAST * apart) & (left > FLOOR * size)
     return np.where(seen, told / np.where(seen, left, 1.0), np.nan)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from greybox.data.checks.mixture import Mixture, mixture
+from greybox.data.checks.mixture import FLOOR, Mixture, mixture
 from greybox.data.checks.signals import FloatArray
 
 BLOCK = 2.0
@@ -33,7 +33,7 @@ APART = 5.0
 """... or its correlation must be higher by this many standard errors."""
 LEAST = 1e-4
 """Shares that are left below this are rounding."""
-WHOLE = 0.9995
+WHOLE = 1.0 - FLOOR
 """Where the reading given explains this much no other is looked for."""
 SEEN = 0.25
 """A reading must explain this share of the motion."""

@@ -28,13 +28,15 @@ _REPEATED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field of a message: `kind` as in a .proto file, "message" or "enum" with the full name of the type in `of`."""
+    """A field of a message: `kind` as in a .proto file, "message" or "enum" with the full name of the type in `of`. One
+    that is `tracked` and not written is absent, a number that is not tracked is 0 then."""
 
     name: str
     number: int
     kind: str
     of: str = ""
     many: bool = False
+    tracked: bool = False
 
     @property
     def wire(self) -> int:
@@ -83,7 +85,11 @@ _DESCRIPTIONS: Types = {
     "message": (
         _text("name", 1), _many("field", 2, "field"), _many("nested_type", 3, "message"), _many("enum_type", 4, "enum"),
     ),
-    "field": (_text("name", 1), _number("number", 3), _number("label", 4), _number("type", 5), _text("type_name", 6)),
+    "field": (
+        _text("name", 1), _number("number", 3), _number("label", 4), _number("type", 5), _text("type_name", 6),
+        Field(name="oneof_index", number=9, kind="int32", tracked=True),
+        Field(name="proto3_optional", number=17, kind="bool"),
+    ),
     "enum": (_text("name", 1), _many("value", 2, "value")),
     "value": (_text("name", 1), _number("number", 2)),
 }  # fmt: skip
@@ -110,9 +116,10 @@ def encode(types: Types, name: str, content: Mapping[str, Any]) -> bytes:
 
 
 def decode(types: Types, name: str, data: bytes) -> dict[str, Any]:
-    """A message of type `name`: numbers that are not in it are 0, messages absent. Raises `DataError` for cut bytes."""
+    """A message of type `name`: numbers that are not in it are 0, messages and tracked numbers absent. Raises `DataError`
+    for cut bytes."""
     by_number = {f.number: f for f in types[name]}
-    out: dict[str, Any] = {f.name: 0 for f in types[name] if f.kind not in _LONG and not f.many}
+    out: dict[str, Any] = {f.name: 0 for f in types[name] if f.kind not in _LONG and not (f.many or f.tracked)}
     for number, wire, value in _parts(data):
         f = by_number.get(number)
         if f is None:
@@ -161,21 +168,23 @@ def described(data: bytes) -> dict[str, tuple[Field, ...]]:
     """The message types of a FileDescriptorSet. Raises `DataError`."""
     found: dict[str, tuple[Field, ...]] = {}
 
-    def take(prefix: str, message: Mapping[str, Any]) -> None:
+    def take(prefix: str, message: Mapping[str, Any], tracked: bool) -> None:
         name = f"{prefix}.{message['name']}" if prefix else str(message["name"])
         found[name] = tuple(
             Field(
                 name=f["name"], number=f["number"], kind=_NAMES.get(f["type"], "bytes"),
                 of=f.get("type_name", "").removeprefix("."), many=f["label"] == _REPEATED,
+                tracked=tracked or "oneof_index" in f or bool(f["proto3_optional"]),
             )
             for f in message.get("field", ())
         )  # fmt: skip
         for nested in message.get("nested_type", ()):
-            take(name, nested)
+            take(name, nested, tracked)
 
     for file in decode(_DESCRIPTIONS, "set", data).get("file", ()):
         for message in file.get("message_type", ()):
-            take(file.get("package", ""), message)
+            # Files of proto2, which need not say so, and of editions track every field.
+            take(file.get("package", ""), message, file.get("syntax") != "proto3")
     return found
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from greybox.commands.mcap_out import ENUMS, TYPES, plain_names, recording, rows_of
-from greybox.data.readers.protobuf import Field, decode, describe, described, encode, fields
+from greybox.data.readers.protobuf import _DESCRIPTIONS, Field, decode, describe, described, encode, fields
 from greybox.data.readers.ros import read_ros
 from greybox.errors import DataError
 
@@ -43,6 +43,21 @@ def test_messages_come_back_through_the_types_that_describe_them() -> None:
     data = encode(EXAMPLE, "test.All", CONTENT)
     assert decode(described(describe(EXAMPLE, "test.All")), "test.All", data) == CONTENT
     assert decode(EXAMPLE, "test.All", b"")["long"] == 0  # what is not written is nought
+
+
+@pytest.mark.parametrize(
+    ("syntax", "more", "absent"),
+    [
+        ("proto3", {}, False), ("proto3", {"oneof_index": 0}, True), ("proto3", {"proto3_optional": 1}, True),
+        ("proto2", {}, True), (None, {}, True), ("editions", {}, True),
+    ],
+)  # fmt: skip
+def test_a_number_that_may_be_absent_is_no_nought(syntax: str | None, more: dict[str, int], absent: bool) -> None:
+    field = {"name": "height", "number": 1, "label": 1, "type": 1, **more}
+    file = {"name": "t.proto", "message_type": [{"name": "T", "field": [field]}], **({"syntax": syntax} if syntax else {})}
+    types = described(encode(_DESCRIPTIONS, "set", {"file": [file]}))
+    assert decode(types, "T", b"") == ({} if absent else {"height": 0})
+    assert decode(types, "T", encode(types, "T", {"height": 0.0})) == {"height": 0.0}
 
 
 def test_googles_library_reads_them_by_our_description() -> None:
