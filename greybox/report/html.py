@@ -12,6 +12,7 @@ import base64
 import contextlib
 import functools
 import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -71,6 +72,14 @@ WIDE = 9
 def script(name: str) -> str:
     """A program of ours that moves a page, of the file NAME.js beside this one."""
     return (resources.files("greybox.report") / f"{name}.js").read_text(encoding="utf-8").strip()
+
+
+def embedded_json(data: object) -> str:
+    """JSON of `data` as the text of a script element: no sign in it ends the element or starts another."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
+        text = text.replace(sign, code)
+    return text
 
 
 Cell = str | int | float | None | Tag | Share | Span

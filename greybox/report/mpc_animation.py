@@ -6,10 +6,11 @@ tube is the plan that stands at the moment, with 95 % ellipses of its covariance
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
+
+from greybox.report.html import embedded_json
 
 LOOKS: Mapping[str, tuple[str, str]] = {
     "tube": ("c1", "line"), "hybrid": ("c2", "line"), "mean": ("c2", "line"), "constant": ("c3", "line"),
@@ -113,9 +114,7 @@ def packed(
 
 def markup(data: Mapping[str, Any]) -> str:
     """The animation's frame with its data; shown by the script alone, so that without one the figures below stand for it."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
-        text = text.replace(sign, code)
+    text = embedded_json(data)
     who = "".join(
         f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
         f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'

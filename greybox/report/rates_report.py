@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from html import escape
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.report import figures
-from greybox.report.html import Cell, Key, Report, script
+from greybox.report.html import Cell, Key, Report, embedded_json, script
 from greybox.report.mpc_animation import CSS
 from greybox.report.mpc_figures import COLOURS
 
@@ -119,9 +118,7 @@ def _packed(content: Mapping[str, Any], traces: Traces, stage: float) -> dict[st
 
 def _markup(data: Mapping[str, Any]) -> str:
     """The frame with its data; the script shows it, so that without one the figure above stands for it."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
-        text = text.replace(sign, code)
+    text = embedded_json(data)
     who = "".join(
         f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
         f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'

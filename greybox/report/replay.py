@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import base64
-import json
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.report.html import Report, script
+from greybox.report.html import Report, embedded_json, script
 from greybox.symbolic import FloatArray
 
 CSS = """
@@ -70,7 +69,7 @@ def replay(report: Report, name: str, flight: Replay) -> None:
         '<label>time <input type="range" min="0" max="1" step="0.01" value="0"/></label>'
         '<label>ghost <input type="range" min="0.05" max="1" step="0.05" value="0.5"/><span class="ahead"></span></label>'
         f"</div><output></output>"
-        f'<script type="application/json">{json.dumps(data, allow_nan=False)}</script></div>',
+        f'<script type="application/json">{embedded_json(data)}</script></div>',
         script("replay"),
         CSS,
     )

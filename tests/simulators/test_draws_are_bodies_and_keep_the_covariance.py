@@ -16,9 +16,9 @@ from greybox.model.identified import IdentifiedModel
 from greybox.simulators.command_text import command_text
 from greybox.simulators.draws import Draws, draw
 from greybox.simulators.targets import target_by_name
+from scenarios.twins.written import load
 from tests.simulators.identified import Array, identified
 from tests.simulators.test_written_numbers_give_the_wrench import rotation
-from tests.simulators.written import load
 
 NAMES = ("inertia.xx", "inertia.yy", "inertia.zz", "thrust.c2", "motor_lag.tau", "rotor_drag.k_x")
 

@@ -16,8 +16,8 @@ from greybox.simulators.make import twin
 from greybox.simulators.size import fly
 from greybox.simulators.statement import agreement
 from greybox.simulators.words import Status
+from scenarios.twins.written import load
 from tests.simulators.identified import AERODYNAMICS, START, Array, identified, manoeuvre
-from tests.simulators.written import load
 
 SAYS = {
     k: v

@@ -13,8 +13,8 @@ import pytest
 from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import with_disturbance
 from greybox.simulators.make import twin
+from scenarios.twins.written import load
 from tests.simulators.identified import AERODYNAMICS, Array, identified
-from tests.simulators.written import load
 
 EVERYTHING = {
     **AERODYNAMICS,
