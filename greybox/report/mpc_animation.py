@@ -112,18 +112,25 @@ def packed(
     }  # fmt: skip
 
 
+def who_flies(controllers: Sequence[Mapping[str, Any]], said: str) -> str:
+    """Items of a list: a box, the stroke, and the place `said`-NAME for the words of every controller."""
+    return "".join(
+        f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
+        f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'
+        f'<span>{escape(c["name"])}: {escape(c["text"])} <b id="{said}-{escape(c["name"])}"></b></span></label></li>'
+        for c in controllers
+    )
+
+
+def which_flight(flights: Sequence[Mapping[str, Any]]) -> str:
+    """Options of a choice, one for every flight."""
+    return "".join(f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>' for i, f in enumerate(flights))
+
+
 def markup(data: Mapping[str, Any]) -> str:
     """The animation's frame with its data; shown by the script alone, so that without one the figures below stand for it."""
     text = embedded_json(data)
-    who = "".join(
-        f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
-        f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'
-        f'<span>{escape(c["name"])}: {escape(c["text"])} <b id="said-{escape(c["name"])}"></b></span></label></li>'
-        for c in data["controllers"]
-    )
-    choices = "".join(
-        f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>' for i, f in enumerate(data["flights"])
-    )
+    who, choices = who_flies(data["controllers"], "said"), which_flight(data["flights"])
     views = "".join(
         f'<div><h4>{title}</h4><svg id="{name}" role="img" aria-label="{label}"></svg></div>'
         for name, title, label in (

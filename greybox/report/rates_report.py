@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from greybox.report import figures
 from greybox.report.html import Cell, Key, Report, embedded_json, script
-from greybox.report.mpc_animation import CSS
+from greybox.report.mpc_animation import CSS, which_flight, who_flies
 from greybox.report.mpc_figures import COLOURS
 
 LOOKS = {
@@ -119,15 +118,7 @@ def _packed(content: Mapping[str, Any], traces: Traces, stage: float) -> dict[st
 def _markup(data: Mapping[str, Any]) -> str:
     """The frame with its data; the script shows it, so that without one the figure above stands for it."""
     text = embedded_json(data)
-    who = "".join(
-        f'<li><label><input type="checkbox" checked="checked" value="{escape(c["name"])}"/>'
-        f'<span class="stroke {c["stroke"]}" style="color: var(--{c["colour"]})"></span>'
-        f'<span>{escape(c["name"])}: {escape(c["text"])} <b id="rates-said-{escape(c["name"])}"></b></span></label></li>'
-        for c in data["controllers"]
-    )
-    choices = "".join(
-        f'<option value="{i}">Flight {i + 1} (seed {f["seed"]})</option>' for i, f in enumerate(data["flights"])
-    )
+    who, choices = who_flies(data["controllers"], "rates-said"), which_flight(data["flights"])
     strips = "".join(
         f'<h4>{n} [rad/s]</h4><svg id="rates-{n}" role="img" aria-label="Rate {n} over time, its limits and the plan"></svg>'
         for n in data["axes"]
