@@ -29,12 +29,12 @@ def run(arguments: argparse.Namespace) -> int:
             )  # fmt: skip
     from greybox.files import dump_json, write_atomic, write_json
     from greybox.report.rates_report import rates_report
+    from mpc_export.mission import judging
     from mpc_export.rates.campaign import (
         TEXTS,
         WATCHED,
         flights,
         format_table,
-        judging,
         kept,
         prepare,
         read_traces,

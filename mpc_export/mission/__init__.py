@@ -5,6 +5,6 @@
 """
 
 from mpc_export.mission.course import Course, Leg, Plane, SampledPath
-from mpc_export.mission.obstacle_course import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS
+from mpc_export.mission.obstacle_course import JUDGING_SEEDS, OBSTACLE_COURSE, TRAINING_SEEDS, judging
 
-__all__ = ["JUDGING_SEEDS", "OBSTACLE_COURSE", "TRAINING_SEEDS", "Course", "Leg", "Plane", "SampledPath"]
+__all__ = ["JUDGING_SEEDS", "OBSTACLE_COURSE", "TRAINING_SEEDS", "Course", "Leg", "Plane", "SampledPath", "judging"]

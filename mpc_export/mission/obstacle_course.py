@@ -14,6 +14,12 @@ JUDGING_SEEDS = range(1000, 1400)
 """Seeds of flights that judge."""
 
 
+def judging(count: int, seed: int) -> range:
+    """`count` seeds of flights that judge; another `seed` of a command gives others."""
+    first = JUDGING_SEEDS[0] * (1 + seed)
+    return range(first, first + count)
+
+
 OBSTACLE_COURSE = Course(
     start=(0.0, 0.0, 1.0, 0.0),
     wait=0.5,

@@ -21,7 +21,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
 from greybox.residual.files import load_model
 from greybox.residual.hybrid import HybridModel
-from mpc_export.mission import JUDGING_SEEDS, TRAINING_SEEDS
+from mpc_export.mission import TRAINING_SEEDS, judging
 from mpc_export.mission.campaign import (
     NEAR,
     OBSTACLES,
@@ -149,10 +149,9 @@ def prepare(
         "trained_on": list(model.trained_on), "logs": [Path(p).name for p in logs],
         "mass": float(model.values["mass"]) if "mass" in model.values else None, "disturbed_by": _disturbed(used, logs),
     }  # fmt: skip
-    first = JUDGING_SEEDS[0] * (1 + seed)
     return Flown(
         hangar=hangar, entries=(*before, plain, *entries), tuning=tuning, what=what,
-        seeds=tuple(range(first, first + flights_)), warnings=tuple(warnings),
+        seeds=tuple(judging(flights_, seed)), warnings=tuple(warnings),
     )  # fmt: skip
 
 

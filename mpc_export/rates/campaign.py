@@ -23,7 +23,7 @@ from greybox.files import append_json_line, checksum, file_sha256, read_json, re
 from greybox.model.identified import library_versions
 from greybox.progress import TimeLeft
 from greybox.residual.output_residual import OutputHybrid
-from mpc_export.mission import JUDGING_SEEDS, TRAINING_SEEDS
+from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.mission.summary import exact
 from mpc_export.predictors import predictor_model
 from mpc_export.rates.controller import RateController, RateProblem
@@ -96,12 +96,6 @@ def prepare(out: Path, level: float, say: Callable[[str], None], task: Task | No
         found.touched[tightened] = pairs
         found.kappa[tightened] = kappa(level, max(pairs, 1.0))
     return found
-
-
-def judging(count: int, seed: int) -> range:
-    """Seeds that judge."""
-    first = JUDGING_SEEDS[0] * (1 + seed)
-    return range(first, first + count)
 
 
 def kept(rates: Rates, names: Sequence[str], seeds: Sequence[int], log: str = "flights.jsonl") -> list[Row]:
