@@ -6,15 +6,15 @@ rotors and a rate in deg/s that never exceeds a calm 25 are what such a look mus
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from greybox.data.raw import FloatArray
-from greybox.data.readers.mapping import SCHEMA, TIME_UNITS
+from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
 from greybox.frames import GRAVITY
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
@@ -126,26 +126,16 @@ def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
     return None
 
 
-def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
+def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
     """A mapping file (docs/logs.md) that says what was guessed, to be looked over."""
-    lines = [
-        f'schema = "{SCHEMA}"',
-        "# A guess from names and sizes: look over axes, units and the order of the rotors.",
-    ]
+    content: dict[str, Any] = {"schema": SCHEMA}
     if time is not None:
-        lines += ["[time]", f"field = {_quoted(time[0])}", f'unit = "{time[1]}"']
+        content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:
-        lines += [f"[{g.group}]", f"fields = [{', '.join(_quoted(f) for f in g.fields)}]"]
-        lines += [f'unit = "{g.unit}"'] if g.unit else []
-        lines += [f'frame = "{g.frame}"'] if g.frame else []
-        lines += [f"limits = [{g.limits[0]:g}, {g.limits[1]:g}]"] if g.limits else []
-        lines[-1] += f"  # {g.why}" if g.why else ""
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(name: str) -> str:
-    """A name as a string of TOML, which has no surrogates and no bare DEL."""
-    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007F")
+        said = {"fields": g.fields, "unit": g.unit, "frame": g.frame, "limits": g.limits}
+        content[g.group] = {k: v for k, v in said.items() if v}
+    head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
+    return head + mapping_text(content, comments={g.group: g.why for g in guesses})
 
 
 def _families(columns: Iterable[str], ends: Mapping[str, int]) -> Iterable[tuple[str, dict[int, str]]]:

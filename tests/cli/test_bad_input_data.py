@@ -36,8 +36,8 @@ spin = -1
 thrust = [0.0, 0.0, 0.15]
 torque = [0.0, 0.0, 0.001]
 
-[columns]
-p = { name = "p" }
+[columns.rate]
+fields = ["p", "q", "r"]
 """
 
 

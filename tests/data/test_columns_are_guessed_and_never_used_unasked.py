@@ -14,7 +14,7 @@ import pytest
 
 import greybox
 from greybox.cli import main
-from greybox.data.column_guess import guess_columns, guess_time, mapping_text
+from greybox.data.column_guess import draft, guess_columns, guess_time
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_log
 from greybox.examples import flight_path, vehicle_path
@@ -25,7 +25,7 @@ from greybox.model.vehicle import read_vehicle
 def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_path: Path) -> None:
     log, vehicle = flight_path(kind, name), read_vehicle(vehicle_path(kind))
     columns = inspect_log(log).recording.streams["table"].fields
-    (tmp_path / "map.toml").write_text(mapping_text(guess_columns(columns), guess_time(columns)))
+    (tmp_path / "map.toml").write_text(draft(guess_columns(columns), guess_time(columns)))
     drafted, stated = read_log(log, mapping=tmp_path / "map.toml"), read_log(log, vehicle)
     compared = 0
     for channel in ("u1", "u4", "p", "q", "r", "ax", "az", "vbat", "qw", "qz", "x", "vz"):
@@ -104,7 +104,7 @@ def test_the_battery_is_the_column_of_volts_wherever_it_stands_and_units_part_fa
 def test_a_draft_is_toml_whatever_the_names_hold() -> None:
     names = tuple(f'\N{HELICOPTER} "gyro"\\\x7f\t.{a}' for a in "xyz")
     guesses = guess_columns({n: np.full(50, 0.1) for n in names})
-    read = tomllib.loads(mapping_text(guesses, (names[0], "s")))
+    read = tomllib.loads(draft(guesses, (names[0], "s")))
     assert (tuple(read["rate"]["fields"]), read["time"]["field"]) == (names, names[0])
 
 
