@@ -70,4 +70,4 @@ def test_rotor_speeds_in_rpm_block_where_the_top_speed_is_stated(flown):
     assert list(ranges.run(View(raw=raw, vehicle=known))) == []
     found = list(ranges.run(View(raw=rpm, vehicle=known)))
     assert [f.severity for f in found] == ["blocking"] * 4
-    assert "rpm: scale 0.10472" in found[0].fix
+    assert "unit = 'rpm' in [columns.rotor_speed]" in found[0].fix

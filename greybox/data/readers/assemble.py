@@ -47,7 +47,8 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
     if name is None or name not in numbers:
         if name is not None and name not in table.columns:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
-        raise DataError("no numeric time column", where=where, fix='name it in a mapping file: [time] field = "..."')
+        raise DataError("no column 't' for the time", where=where, got=f"columns {', '.join(list(table.columns)[:12])}",
+                        fix='say which it is: [time] field = "..." in a mapping file (docs/logs.md)')  # fmt: skip
     by_name = next((u for u in ("ms", "us", "ns") if name.lower().endswith("_" + u)), "s")
     unit = mapping.time_unit or by_name
     text = tuple(k for k in table.columns if k not in numbers)
@@ -91,7 +92,8 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
         if group in mapping.unused:
             continue
         if group in mapping.sources:
-            out[group] = _demanded(recording, mapping.sources[group], mapping.where)
+            optional = group in mapping.optional and group != "command"
+            out[group] = _demanded(recording, mapping.sources[group], mapping.where, empty=optional)
             continue
         good = [s for s in recording.sources if s.group == group and usable(recording, s)]
         good = [s for s in good if s.stream != TABLE or used.isdisjoint(s.fields)]
@@ -150,7 +152,8 @@ def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tupl
     return kept, tuple(notes)
 
 
-def _demanded(recording: Recording, source: Source, where: str) -> Source:
+def _demanded(recording: Recording, source: Source, where: str, *, empty: bool = False) -> Source:
+    """The source, which must be there, and hold some values unless it may be `empty`."""
     place = f"{where}: {source.group}"
     if source.stream not in recording.streams:
         raise UnknownNameError("stream", source.stream, recording.streams, where=place)
@@ -160,7 +163,7 @@ def _demanded(recording: Recording, source: Source, where: str) -> Source:
             if name.lstrip("-") in stream.unread:
                 raise DataError(f"field '{name}' of {stream.name} holds no numbers", where=place)
             raise UnknownNameError("field", name.lstrip("-"), stream.fields, where=f"{place}, stream {stream.name}")
-    if not usable(recording, source):
+    if not empty and not usable(recording, source):
         raise DataError(f"stream {stream.name} holds no values there", where=place, fix="name another stream")
     return source
 
@@ -337,20 +340,31 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     Rows, their numbers and their stamps stay, and so do columns that are no channel of a group that is named. Raises
     `DataError` and `UnknownNameError` (see `assemble`).
     """
+    if table.rows.size < 2:
+        return table  # refused later, as one without a mapping
+    for name in {mapping.time_field or "t"} & set(table.columns):
+        if table.columns[name].dtype.kind != "f":
+            raise text_error(table, name, "t")
     recording = stream_of_table(table, mapping, where=table.source)
     stream = recording.streams[TABLE]
     for name in mapping.names & set(stream.unread):
         raise text_error(table, name, name)
-    own = assemble(recording, mapping)
-    chosen = choose(recording, mapping)
-    used = {f.lstrip("-") for s in chosen.values() for f in s.fields} | mapping.names
-    origins = {c: f.lstrip("-") for g, s in chosen.items() if len(s.fields) == len(group_names(g, len(s.fields)))
-               for c, f in zip(group_names(g, len(s.fields)), s.fields, strict=True) if f}  # fmt: skip
-    taken = {*own.columns, *(n for g in {*mapping.groups, *chosen} for n in group_names(g, 99))}
-    rest = {n: c for n, c in table.columns.items() if n not in used and n not in taken}
+    kept, absent = present(recording, mapping)
+    told = kept.groups
+    sources = {g: s for g, s in choose(recording, mapping).items() if g in told}
+    own = replace(table, columns={}, canonical=True, notes=absent)
+    if sources:
+        own = assemble(replace(recording, sources=tuple(s for s in recording.sources if s.group in told)), mapping)
+    origins: dict[str, str] = {}
+    for group, source in sources.items():
+        names = group_names(group, len(source.fields))
+        if len(names) == len(source.fields):
+            origins |= {n: f.lstrip("-") for n, f in zip(names, source.fields, strict=True) if f}
+    read = {f.lstrip("-") for s in sources.values() for f in s.fields}
+    used = {*mapping.names, *read, *(n for g in told for n in group_names(g, 99))}
     return replace(
         own,
-        columns={**own.columns, "t": stream.t, **rest},
+        columns={**own.columns, "t": stream.t, **{n: c for n, c in table.columns.items() if n not in used | {"t"}}},
         rows=table.rows,
         origins=origins,
         notes=tuple(n for n in own.notes if not n.startswith("t = 0 is ")),

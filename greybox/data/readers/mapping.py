@@ -100,7 +100,7 @@ class LogMapping:
             time_unit=time.time_unit,
             time_scale=time.time_scale,
             time_offset=time.time_offset,
-            where=self.where,
+            where=self.where or other.where,
         )
 
     def to_dict(self) -> dict[str, Any]:
