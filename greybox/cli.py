@@ -130,7 +130,7 @@ def _main(argv: Sequence[str] | None) -> int:
         with contextlib.ExitStack() as stack:
             if getattr(arguments, "out", "") is None and hasattr(arguments, "default_out"):
                 arguments.out = arguments.default_out(arguments)
-            for option in ("out", "json", "draft", "mcap"):
+            for option in ("out", "json", "draft", "mcap", "ulog"):
                 if (path := getattr(arguments, option, None)) not in (None, "-"):
                     from greybox.files import check_writable, sole_writer
 

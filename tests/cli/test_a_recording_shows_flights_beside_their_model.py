@@ -23,6 +23,7 @@ from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
+from tests.data.readers.writers import px4_attitude
 
 pytestmark = [
     pytest.mark.slow,
@@ -153,3 +154,37 @@ def test_a_recording_that_cannot_be_is_refused_before_any_work(run: Path, name: 
         (run / "there").write_text("a file, not a folder")
     assert main([*words, str(run / name)]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_flight_review_gets_attitude_rate_and_place_as_px4_would_log_them(run: Path, capsys: pytest.CaptureFixture[str]):
+    """pyulog, on which Flight Review stands, reads the log; its roll, pitch and yaw are those of rotation matrices."""
+    pyulog = pytest.importorskip("pyulog")
+    from pyulog.px4 import PX4ULog
+
+    target = run / "b.ulg"
+    words = ["validate", str(run / "fit" / "model.json"), "--log", str(run / "b.csv")]
+    assert main([*words, "--ulog", str(target)]) in (0, 1)
+    log = pyulog.ULog(str(target))
+    assert not log.file_corruption
+    assert PX4ULog(log).get_mav_type() == "Quadrotor"
+    PX4ULog(log).add_roll_pitch_yaw()
+    topics = {d.name: d.data for d in log.data_list}
+    assert "b" in log.logged_messages[0].message
+    model = IdentifiedModel.load(run / "fit" / "model.json")
+    c = read_logs([run / "b.csv"], model.physics.vehicle, rate=1 / model.sample_time).flights[0].segments[0].channels
+    truth = topics["vehicle_attitude_groundtruth"]
+    np.testing.assert_allclose(np.diff(truth["timestamp"]), 1e6 * model.sample_time, atol=1.0)
+    theirs = np.column_stack([truth[f"q[{i}]"] for i in range(4)])
+    ours = px4_attitude(c)
+    np.testing.assert_allclose(np.abs((theirs * ours).sum(axis=1)), 1.0, atol=1e-5)
+    place = topics["vehicle_local_position_groundtruth"]
+    for name, ned in zip("xyz", (c["y"], c["x"], -c["z"]), strict=True):
+        np.testing.assert_allclose(place[name], ned, atol=1e-5)
+    np.testing.assert_allclose(topics["vehicle_angular_velocity_groundtruth"]["xyz[1]"], -c["q"], atol=1e-5)
+    # The estimate is the model's, half a second ahead: near, not the same.
+    off = np.rad2deg(topics["vehicle_attitude"]["roll"] - truth["roll"])
+    assert 0.01 < np.sqrt(np.nanmean(((off + 180) % 360 - 180) ** 2)) < 20
+    capsys.readouterr()
+    assert main(["inspect", str(target)]) == 2
+    assert "predictions of a model" in capsys.readouterr().err
+    assert main([*words, "--ulog", str(run / "b.csv")]) == 2

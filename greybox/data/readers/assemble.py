@@ -320,7 +320,9 @@ def converted(stream: Stream, source: Source) -> FloatArray:
     if source.limits is not None:
         low, high = source.limits
         matrix = (matrix - low) / (high - low)
-    matrix = _our_frame(matrix, source)
+    if source.group == "attitude" and matrix.shape[1] == 3:
+        matrix = _rotations("from_euler", matrix)
+    matrix = other_frame(matrix, source.group, source.frame)
     return continuous_signs(_unit(matrix))[0] if source.group == "attitude" else matrix
 
 
@@ -371,20 +373,19 @@ def in_channels(table: Table, mapping: LogMapping) -> Table:
     )
 
 
-def _our_frame(values: FloatArray, source: Source) -> FloatArray:
-    """FRD and NED to FLU and ENU; Euler angles (roll, pitch, yaw) to a quaternion."""
-    if source.group == "attitude":
-        quaternion = _rotations("from_euler", values) if values.shape[1] == 3 else values
-        if source.frame != "FRD/NED":
-            return quaternion
+def other_frame(values: FloatArray, group: str, frame: str) -> FloatArray:
+    """Values (N, K) of a group in one of its `FRAMES` turned to ours, or ours to it: each turn is its own inverse."""
+    if group == "attitude":
+        if frame != "FRD/NED":
+            return values
         # v_ENU = R(earth) v_NED and v_FRD = R(body) v_FLU are turns by pi about (1, 1, 0) and about x.
         half = np.sqrt(0.5)
-        earth = np.tile([0.0, half, half, 0.0], (len(quaternion), 1))
-        body = np.tile([0.0, 1.0, 0.0, 0.0], (len(quaternion), 1))
-        return _rotations("multiply", _rotations("multiply", earth, quaternion), body)
-    if source.frame == "FRD":
+        earth = np.tile([0.0, half, half, 0.0], (len(values), 1))
+        body = np.tile([0.0, 1.0, 0.0, 0.0], (len(values), 1))
+        return _rotations("multiply", _rotations("multiply", earth, values), body)
+    if frame == "FRD":
         return values * np.array([1.0, -1.0, -1.0])
-    if source.frame == "NED":
+    if frame == "NED":
         return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
     return values
 
