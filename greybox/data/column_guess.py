@@ -46,6 +46,10 @@ _UNITS = {
 }
 """Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of another group is none."""
 _UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
+_ABOUT = r"temp\w*|bias\w*|offsets?|var|variance|std|cov\w*|err\w*|noise|scale|dt|clip\w*|vib\w*"
+"""Words of what is said about a sensor and is not its reading."""
+POLE_PAIRS = 7
+"""Of the motors whose electrical speed is logged: 14 poles are by far the most usual."""
 _LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
 _TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
 
@@ -60,6 +64,7 @@ class Guess:
     unit: str = ""
     frame: str = ""
     limits: tuple[float, float] | None = None
+    scale: float = 1.0
     why: str = ""
 
 
@@ -133,7 +138,7 @@ def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
         content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:
         said = {"fields": g.fields, "unit": g.unit, "frame": g.frame, "limits": g.limits}
-        content[g.group] = {k: v for k, v in said.items() if v}
+        content[g.group] = {k: v for k, v in said.items() if v} | ({"scale": g.scale} if g.scale != 1.0 else {})
     head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
     return head + mapping_text(content, comments={g.group: g.why for g in guesses})
 
@@ -177,6 +182,8 @@ def _meant(stem: str) -> str:
         words = re.split(r"[\W_]+", stem)
         others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
         return "" if any(re.fullmatch(o, word) for o in others for word in words) else "setpoint"
+    if any(re.fullmatch(_ABOUT, word) for word in re.split(r"[\W_]+", stem)):
+        return ""
     return next((group for group, words in _WORDS.items() if _says(stem, words)), "")
 
 
@@ -194,7 +201,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         return Guess(group=group, fields=names, why="no numbers to tell the unit by")
     low, high = float(values.min()), float(values.max())
     size = max(-low, high)
-    unit, limits, why, frame = "", None, f"values from {low:.4g} to {high:.4g}", ""
+    unit, limits, why, frame, scale = "", None, f"values from {low:.4g} to {high:.4g}", "", 1.0
     if group == "rate":
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
@@ -209,6 +216,10 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         limits = None if limits == (0.0, 1.0) else limits
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
+        if "erpm" in names[0].lower():
+            # Betaflight writes hundreds of electrical turns a minute; no motor of a craft is as slow as 6000 of them.
+            scale, what = (100.0 / POLE_PAIRS, "hundreds of electrical") if size < 6000 else (1 / POLE_PAIRS, "electrical")
+            why = f"{what} turns a minute, {2 * POLE_PAIRS} poles guessed: see scale; {why}"
     elif group == "battery":
         unit = "mV" if float(np.median(values)) > 200 else "V"
     elif group == "attitude" and len(names) == 3:
@@ -223,4 +234,4 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
     if group == "specific_force" and stated != unit:
         why = f"middle length {norm:.3g}: not gravity in that unit"
     unit = stated
-    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, why=why)
+    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, scale=scale, why=why)

@@ -108,6 +108,20 @@ def test_the_band_of_force_holds_its_value(messages: dict[str, Messages]):
                 assert m["high"][axis] - m["low"][axis] < width
 
 
+def test_the_summary_tells_every_channel_and_its_type(run: Path):
+    """PlotJuggler opens the summary alone, takes the parser by the encoding of the messages, and the time of publication."""
+    from mcap.reader import make_reader
+
+    with (run / "fit.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert {c.message_encoding for c in summary.channels.values()} == {"protobuf"}
+    for channel in summary.channels.values():
+        assert summary.statistics.channel_message_counts[channel.id] > 0
+        assert summary.schemas[channel.schema_id].name in described(summary.schemas[channel.schema_id].data)
+
+
 def test_another_reader_gets_the_same_numbers(run: Path, messages: dict[str, Messages]):
     pytest.importorskip("mcap_protobuf", reason="pip install mcap-protobuf-support")
     from mcap.reader import make_reader
