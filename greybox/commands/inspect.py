@@ -115,8 +115,10 @@ def advice(found: Any, content: dict[str, Any], arguments: argparse.Namespace, k
     if arguments.vehicle is None:
         from greybox.model.vehicle_template import TEMPLATES
 
-        names = ", ".join(TEMPLATES)
-        out.append(f"a vehicle file: greybox vehicle new --template NAME --out V.toml ({names}; docs/vehicle.md)")
+        start, names = f"--from {log}", "what the log knows of the craft"
+        if found.format.table is not None:
+            start, names = "--template NAME", ", ".join(TEMPLATES)
+        out.append(f"a vehicle file: greybox vehicle new {start} --out V.toml ({names}; docs/vehicle.md)")
         has.append("--vehicle V.toml")
     if content["uses"]["fit"]:
         out.append(f"greybox check {' '.join([*has, log])}")

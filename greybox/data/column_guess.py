@@ -26,9 +26,11 @@ _WORDS = {
     "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|desired",
 }
 _NUMBERED = {
-    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
-    "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
+    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
+    "command": r"m|u|motors?|pwm|cmd|command|esc|actuators?|outputs?",
 }
+_AFTER = r"pwm|cmd|command|output|e?rpm|speed"
+"""Words that may stand behind the number of a motor: motor1_pwm."""
 _OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
 """Words of what else is set: attitude, force and moment."""
 _UNITS = {
@@ -144,13 +146,15 @@ def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
 
 
 def _families(columns: Iterable[str], ends: Mapping[str, int]) -> Iterable[tuple[str, dict[int, str]]]:
-    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw."""
+    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw, or in
+    the number of a motor: motor1_pwm."""
     out: dict[tuple[str, str], dict[int, str]] = {}
     for name in columns:
-        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*"
+        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*(?:[\W_]+({_AFTER}))?"
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
-            out.setdefault((match[1].lower(), _unit_of(name)), {}).setdefault(ends[match[2].lower()], name)
+            stem = "_".join(part.lower() for part in match.group(1, 3) if part)
+            out.setdefault((stem, _unit_of(name)), {}).setdefault(ends[match[2].lower()], name)
     return [(stem, members) for (stem, _), members in out.items()]
 
 
