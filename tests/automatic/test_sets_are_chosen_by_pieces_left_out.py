@@ -101,7 +101,7 @@ def test_inflow_is_offered_where_something_shows_the_climb():
 
 
 def test_a_channel_that_is_never_seen_where_it_is_foretold_is_left_out_quietly():
-    """A position every fifth row, as its origins are: none is seen 0.1 or 0.5 s after one. The other groups are scored as ever."""
+    """A position every fifth row, as its origins are: none is seen 0.1 or 0.5 s after one."""
     data = simulated.flights(1, 4.0)
     model = gb.fit(gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), data, use_compiler=False).model
     rare = np.arange(data.flights[0].segments[0].n) % 5 == 3
