@@ -13,6 +13,7 @@ import warnings
 from html import escape
 
 import matplotlib
+import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
@@ -93,7 +94,7 @@ def _zoomable(figure: Figure) -> list[dict[str, object]]:
     found: list[dict[str, object]] = []
     for axes in figure.axes:
         bands = all(isinstance(c, PolyCollection) for c in axes.collections)
-        if not any(len(line.get_xdata()) > 2 for line in axes.lines) or not bands or axes.patches:
+        if not any(np.size(line.get_xdata()) > 2 for line in axes.lines) or not bands or axes.patches:
             return []
         place = axes.get_position()
         box = (place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height)
