@@ -11,6 +11,7 @@ import contextlib
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -86,6 +87,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _main(argv)
 
 
+@contextlib.contextmanager
+def _warnings_on_one_line() -> Iterator[None]:
+    """What a file of an older form is told, said once on standard error like an error; other warnings as ever."""
+    from greybox.errors import OldFormWarning
+
+    with warnings.catch_warnings():
+        shown = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
+            if issubclass(category, OldFormWarning):
+                print(f"greybox: {message}", file=sys.stderr)
+            else:
+                shown(message, category, *rest, **named)
+
+        warnings.showwarning = show
+        yield
+
+
 def _main(argv: Sequence[str] | None) -> int:
     from greybox.distribution import NAME, other_greybox
     from greybox.errors import GreyboxError
@@ -111,7 +130,7 @@ def _main(argv: Sequence[str] | None) -> int:
         with contextlib.ExitStack() as stack:
             if getattr(arguments, "out", "") is None and hasattr(arguments, "default_out"):
                 arguments.out = arguments.default_out(arguments)
-            for option in ("out", "json", "draft", "mcap"):
+            for option in ("out", "json", "draft", "mcap", "ulog"):
                 if (path := getattr(arguments, option, None)) not in (None, "-"):
                     from greybox.files import check_writable, sole_writer
 
@@ -120,6 +139,7 @@ def _main(argv: Sequence[str] | None) -> int:
                     if folder:
                         stack.enter_context(sole_writer(path))
             stack.enter_context(kept_interrupts())
+            stack.enter_context(_warnings_on_one_line())
             if arguments.quiet:
                 stack.enter_context(_hush(arguments))
             code = int(arguments.run(arguments))

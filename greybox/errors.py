@@ -45,7 +45,7 @@ class GreyboxError(Exception):
             line += f". Usual fix: {fix}"
         line = printable(" ".join(line.split()))
         if len(line) > LONGEST_LINE:
-            line = f"{line[:LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3:]}"
+            line = f"{line[: LONGEST_LINE // 2]} ... {line[-LONGEST_LINE // 3 :]}"
         self.line = line
         super().__init__(self.line)
 
@@ -86,3 +86,7 @@ class FitError(GreyboxError, RuntimeError):
 
 class MissingExtraError(GreyboxError, ImportError):
     """A library that comes with an optional extra is not installed."""
+
+
+class OldFormWarning(FutureWarning):
+    """A file speaks a form that the next minor version will not read; the message names the new one."""

@@ -11,7 +11,7 @@ raw = np.genfromtxt(gb.examples.flight_path("nanobench", "B2_circle_fast_rep1"),
 print(raw.dtype.names[:8])
 
 # %% [markdown]
-# The vehicle file says which column is which channel, in its table `[columns]`; then `read_logs` takes the file as it is.
+# Tables `[columns.GROUP]` of the vehicle file say which columns are which channels; `read_logs` takes the file as it is.
 
 # %%
 vehicle = gb.read_vehicle(gb.examples.vehicle_path("nanobench"))

@@ -109,11 +109,10 @@ def foretell(model: IdentifiedModel, pieces: Dataset, *, use_compiler: bool = Tr
             count += int(block[-1]) + 1
     if not own:
         return Score(blocks=np.zeros(0))
-    error, scale, label = (
-        np.concatenate(own),
-        np.nanmean(np.concatenate(held), axis=0),
-        np.concatenate(labels),
-    )
+    error, last_values, label = np.concatenate(own), np.concatenate(held), np.concatenate(labels)
+    # A group that is slower than the origins are apart may have no last value that far ahead.
+    known = np.isfinite(last_values).sum(axis=0)
+    scale = np.nansum(last_values, axis=0) / np.where(known > 0, known, np.nan)
     shares = np.minimum(error / np.maximum(scale, 1e-300), WORST)
     blocks = [shares[label == b] for b in range(count)]
     return Score(

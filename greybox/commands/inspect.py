@@ -32,7 +32,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect, convert, print. Returns 0, or 1 where the log has no commands and sensors in common to fit."""
-    from greybox.data.column_guess import mapping_text
+    from greybox.data.column_guess import draft
     from greybox.data.inspection import inspect_log
     from greybox.data.logs.write import write_csv
     from greybox.errors import DataError
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draft:
         if not guesses:
             raise DataError("no column looks like a channel that is missing", where=arguments.log)
-        write_atomic(arguments.draft, mapping_text(guesses, time))
+        write_atomic(arguments.draft, draft(guesses, time))
     if arguments.out:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
@@ -95,7 +95,7 @@ def beside(log: str, found: Any) -> str | None:
             columns = read_vehicle(path).columns
         except GreyboxError:
             continue
-        if columns and {c.name for c in columns.values()} <= set(stream.fields):
+        if columns.names and columns.names <= set(stream.fields):
             return str(path)
     return None
 
@@ -115,8 +115,10 @@ def advice(found: Any, content: dict[str, Any], arguments: argparse.Namespace, k
     if arguments.vehicle is None:
         from greybox.model.vehicle_template import TEMPLATES
 
-        names = ", ".join(TEMPLATES)
-        out.append(f"a vehicle file: greybox vehicle new --template NAME --out V.toml ({names}; docs/vehicle.md)")
+        start, names = f"--from {log}", "what the log knows of the craft"
+        if found.format.table is not None:
+            start, names = "--template NAME", ", ".join(TEMPLATES)
+        out.append(f"a vehicle file: greybox vehicle new {start} --out V.toml ({names}; docs/vehicle.md)")
         has.append("--vehicle V.toml")
     if content["uses"]["fit"]:
         out.append(f"greybox check {' '.join([*has, log])}")
@@ -236,7 +238,9 @@ def text(content: dict[str, Any], *, every: bool = False) -> str:
         lines += ["", "MISSING"]
         for m in content["missing"]:
             if m["group"] in guessed:
-                lines.append(f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; {m['purpose']}")
+                lines.append(
+                    f"  {m['group']} ({', '.join(m['channels'])}): not by this name, see above; {m['purpose']}"
+                )
                 continue
             lines.append(f"  {m['group']} ({', '.join(m['channels'])}): {m['reason']}; {m['purpose']}")
             if m["advice"]:

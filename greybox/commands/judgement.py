@@ -63,7 +63,7 @@ def horizon_options(p: Any) -> None:
         "--horizons-samples",
         default=None,
         metavar="N,...",
-        help="numbers of samples ahead, instead of seconds",
+        help="the same in numbers of samples",
     )
 
 

@@ -27,6 +27,14 @@ def need_mcap(path: str | None) -> None:
     library("mcap.writer", where="--mcap", what="a recording for Foxglove")
 
 
+def need_ulog(path: str | None) -> None:
+    """Raises `DataError` for another ending: before any work."""
+    from greybox.errors import DataError
+
+    if path is not None and Path(path).suffix.lower() != ".ulg":
+        raise DataError("Flight Review takes .ulg", where="--ulog", got=path, fix=f"--ulog {Path(path).stem}.ulg")
+
+
 def write_if_asked(path: str | None, model: Any, *datasets: Any, adapted: Any = None) -> None:
     """Write the recording of flights beside a model, where one was asked for."""
     if path is not None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.judgement import exit_code, given_horizons, horizon_options
-from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
+from greybox.commands.mcap_option import mcap_option, need_mcap, need_ulog, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
 from greybox.errors import DataError
 
@@ -40,6 +40,8 @@ def add(commands: Any) -> None:
     )
     model_file_option(p)
     mcap_option(p)
+    p.add_argument("--ulog", metavar="F.ulg", default=None, help="also write the flights (ground truth) beside the model's "
+                   "predictions (estimate) for PX4 Flight Review")  # fmt: skip
     p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
     p.set_defaults(run=run)
 
@@ -49,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.adapt is not None and not arguments.adapt > 0:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
     need_mcap(arguments.mcap)
+    need_ulog(arguments.ulog)
     from greybox.files import dump_json, write_json
     from greybox.model.layer import physics_of
     from greybox.progress import TimeLeft
@@ -75,6 +78,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     adapted = (result.to_dict().get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, model, dataset, adapted=adapted)
+    if arguments.ulog is not None:
+        from greybox.commands.ulog_out import write_ulog
+
+        write_ulog(arguments.ulog, model, dataset, adapted=adapted)
     if arguments.json == "-":
         sys.stdout.write(dump_json(result.to_dict()))
         return exit_code(result.verdict)

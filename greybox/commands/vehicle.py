@@ -156,7 +156,12 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
 def run_check(arguments: argparse.Namespace) -> int:
     """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something blocks."""
     from greybox.commands.judgement import tell
+    from greybox.data.readers.mapping import mapping_text
     from greybox.model.plausibility import check_vehicle
-    from greybox.model.vehicle import read_vehicle
+    from greybox.model.vehicle import columns_by_channel, read_vehicle
 
-    return tell(check_vehicle(read_vehicle(arguments.vehicle)), arguments.json)
+    vehicle = read_vehicle(arguments.vehicle)
+    if columns_by_channel(arguments.vehicle):
+        print("[columns] by group, in place of what the file holds:")
+        print(mapping_text(vehicle.columns.to_dict(), prefix="columns."))
+    return tell(check_vehicle(vehicle), arguments.json)

@@ -1,13 +1,12 @@
 """Flight data: channels, segments, data sets, log readers, conditioning and the data-fault checks."""
 
-from greybox.data.channel import Channel, ColumnSpec, channel, group_names
+from greybox.data.channel import Channel, channel, group_names
 from greybox.data.dataset import Dataset, Flight, dataset_from_arrays
 from greybox.data.logs import RawLog, read_log, read_logs, read_table
 from greybox.data.segment import Segment
 
 __all__ = [
     "Channel",
-    "ColumnSpec",
     "Dataset",
     "Flight",
     "RawLog",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from greybox.data.channel import ColumnSpec
+from greybox.data.readers.mapping import LogMapping
 
 
 class RotorPlace(Protocol):
@@ -56,8 +56,8 @@ class Airframe(Protocol):
         """Command range."""
 
     @property
-    def columns(self) -> Mapping[str, ColumnSpec]:
-        """Canonical channel -> column of the log (channels that are not named keep their canonical name)."""
+    def columns(self) -> LogMapping:
+        """Which fields of its logs are which channels (what is not named keeps its canonical name)."""
 
 
 class Number(Protocol):

@@ -26,19 +26,6 @@ class Channel:
     meaning: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ColumnSpec:
-    """How one log stores a channel: canonical value = scale * (value in column `name`) + offset.
-
-    `causal=False` marks a column whose values were smoothed with later samples (it must not start a prediction).
-    """
-
-    name: str
-    scale: float = 1.0
-    offset: float = 0.0
-    causal: bool = True
-
-
 TIME = "t"
 
 _FIXED = {

@@ -6,15 +6,15 @@ rotors and a rate in deg/s that never exceeds a calm 25 are what such a look mus
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from greybox.data.raw import FloatArray
-from greybox.data.readers.mapping import SCHEMA, TIME_UNITS
+from greybox.data.readers.mapping import SCHEMA, TIME_UNITS, mapping_text
 from greybox.frames import GRAVITY
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
@@ -26,9 +26,11 @@ _WORDS = {
     "setpoint": r"sp|setpoint|target|ctrltarget|ref|reference|desired",
 }
 _NUMBERED = {
-    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed",
-    "command": r"m|u|motors?|pwm|cmd|esc|actuators?|outputs?",
+    "rotor_speed": r"e?rpm|omega|rotorspeed|motorspeed|escspeed",
+    "command": r"m|u|motors?|pwm|cmd|command|esc|actuators?|outputs?",
 }
+_AFTER = r"pwm|cmd|command|output|e?rpm|speed"
+"""Words that may stand behind the number of a motor: motor1_pwm."""
 _OTHERS = r"att\w*|angles?|rpy|euler|q|quat\w*|thrusts?|forces?|torques?|moments?"
 """Words of what else is set: attitude, force and moment."""
 _UNITS = {
@@ -46,6 +48,10 @@ _UNITS = {
 }
 """Units as names of columns say them, "Gyro X (deg/s)", per group; a column with the unit of another group is none."""
 _UNIT = re.compile(r"\s*[(\[]\s*([^\d\s)\]][^)\]]*?)\s*[)\]]\s*$")
+_ABOUT = r"temp\w*|bias\w*|offsets?|var|variance|std|cov\w*|err\w*|noise|scale|dt|clip\w*|vib\w*"
+"""Words of what is said about a sensor and is not its reading."""
+POLE_PAIRS = 7
+"""Of the motors whose electrical speed is logged: 14 poles are by far the most usual."""
 _LESS = re.compile(r"est|state|target|setpoint|filt|raw|debug|ref")
 _TIME = re.compile(r"t|time\w*|\w*stamp\w*|ticks?|t_?[mun]?s|time_?[mun]?s")
 
@@ -60,6 +66,7 @@ class Guess:
     unit: str = ""
     frame: str = ""
     limits: tuple[float, float] | None = None
+    scale: float = 1.0
     why: str = ""
 
 
@@ -126,36 +133,28 @@ def guess_time(columns: Mapping[str, FloatArray]) -> tuple[str, str] | None:
     return None
 
 
-def mapping_text(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
+def draft(guesses: Sequence[Guess], time: tuple[str, str] | None) -> str:
     """A mapping file (docs/logs.md) that says what was guessed, to be looked over."""
-    lines = [
-        f'schema = "{SCHEMA}"',
-        "# A guess from names and sizes: look over axes, units and the order of the rotors.",
-    ]
+    content: dict[str, Any] = {"schema": SCHEMA}
     if time is not None:
-        lines += ["[time]", f"field = {_quoted(time[0])}", f'unit = "{time[1]}"']
+        content["time"] = {"field": time[0], "unit": time[1]}
     for g in guesses:
-        lines += [f"[{g.group}]", f"fields = [{', '.join(_quoted(f) for f in g.fields)}]"]
-        lines += [f'unit = "{g.unit}"'] if g.unit else []
-        lines += [f'frame = "{g.frame}"'] if g.frame else []
-        lines += [f"limits = [{g.limits[0]:g}, {g.limits[1]:g}]"] if g.limits else []
-        lines[-1] += f"  # {g.why}" if g.why else ""
-    return "\n".join(lines) + "\n"
-
-
-def _quoted(name: str) -> str:
-    """A name as a string of TOML, which has no surrogates and no bare DEL."""
-    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007F")
+        said = {"fields": g.fields, "unit": g.unit, "frame": g.frame, "limits": g.limits}
+        content[g.group] = {k: v for k, v in said.items() if v} | ({"scale": g.scale} if g.scale != 1.0 else {})
+    head = "# A guess from names and sizes: look over axes, units and the order of the rotors.\n"
+    return head + mapping_text(content, comments={g.group: g.why for g in guesses})
 
 
 def _families(columns: Iterable[str], ends: Mapping[str, int]) -> Iterable[tuple[str, dict[int, str]]]:
-    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw."""
+    """(stem, {place: column}) of columns of one unit whose names differ in their end only: gyro.x, gyroADC[0], qw, or in
+    the number of a motor: motor1_pwm."""
     out: dict[tuple[str, str], dict[int, str]] = {}
     for name in columns:
-        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*"
+        pattern = rf"(.*?)[\W_]*({'|'.join(sorted(ends, key=len, reverse=True))})\W*(?:[\W_]+({_AFTER}))?"
         match = re.fullmatch(pattern, _bare(name), re.IGNORECASE)
         if match is not None:
-            out.setdefault((match[1].lower(), _unit_of(name)), {}).setdefault(ends[match[2].lower()], name)
+            stem = "_".join(part.lower() for part in match.group(1, 3) if part)
+            out.setdefault((stem, _unit_of(name)), {}).setdefault(ends[match[2].lower()], name)
     return [(stem, members) for (stem, _), members in out.items()]
 
 
@@ -187,6 +186,8 @@ def _meant(stem: str) -> str:
         words = re.split(r"[\W_]+", stem)
         others = [_OTHERS, *(w for g, w in _WORDS.items() if g not in ("position", "setpoint"))]
         return "" if any(re.fullmatch(o, word) for o in others for word in words) else "setpoint"
+    if any(re.fullmatch(_ABOUT, word) for word in re.split(r"[\W_]+", stem)):
+        return ""
     return next((group for group, words in _WORDS.items() if _says(stem, words)), "")
 
 
@@ -204,7 +205,7 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         return Guess(group=group, fields=names, why="no numbers to tell the unit by")
     low, high = float(values.min()), float(values.max())
     size = max(-low, high)
-    unit, limits, why, frame = "", None, f"values from {low:.4g} to {high:.4g}", ""
+    unit, limits, why, frame, scale = "", None, f"values from {low:.4g} to {high:.4g}", "", 1.0
     if group == "rate":
         unit = "deg/s" if float(np.percentile(np.abs(values), 99)) > 25 else "rad/s"
     elif group == "specific_force":
@@ -219,6 +220,10 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
         limits = None if limits == (0.0, 1.0) else limits
     elif group == "rotor_speed":
         unit = "rpm" if size > 4000 or "rpm" in names[0].lower() else "rad/s"
+        if "erpm" in names[0].lower():
+            # Betaflight writes hundreds of electrical turns a minute; no motor of a craft is as slow as 6000 of them.
+            scale, what = (100.0 / POLE_PAIRS, "hundreds of electrical") if size < 6000 else (1 / POLE_PAIRS, "electrical")
+            why = f"{what} turns a minute, {2 * POLE_PAIRS} poles guessed: see scale; {why}"
     elif group == "battery":
         unit = "mV" if float(np.median(values)) > 200 else "V"
     elif group == "attitude" and len(names) == 3:
@@ -233,4 +238,4 @@ def _sized(group: str, names: tuple[str, ...], columns: Mapping[str, FloatArray]
     if group == "specific_force" and stated != unit:
         why = f"middle length {norm:.3g}: not gravity in that unit"
     unit = stated
-    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, why=why)
+    return Guess(group=group, fields=names, unit=unit, frame=frame, limits=limits, scale=scale, why=why)

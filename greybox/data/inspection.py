@@ -12,11 +12,12 @@ import numpy.typing as npt
 from greybox.data.airframe import Airframe
 from greybox.data.channel import GROUPS, channel, group_names
 from greybox.data.fitness import unfit
+from greybox.data.logs import mapping_for
 from greybox.data.logs.canonical import to_channels
 from greybox.data.logs.table import Table
 from greybox.data.raw import RawLog
-from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, read_mapping, read_recording
-from greybox.data.readers.assemble import assemble, choose, describe, stream_of_table, usable
+from greybox.data.readers import LogFormat, LogMapping, Recording, format_of, read_recording
+from greybox.data.readers.assemble import assemble, choose, describe, in_channels, stream_of_table, usable
 from greybox.data.readers.mapping import TABLE
 from greybox.data.readers.recording import Source, Stream
 from greybox.data.resampling import STRETCH
@@ -178,25 +179,28 @@ def inspect_log(
     Raises `DataError` where the file cannot be read at all; a log that can be read and not be used says so in `problem`.
     """
     where = os.fspath(path)
-    if mapping is not None and not isinstance(mapping, LogMapping):
-        mapping = read_mapping(mapping)
+    said = mapping_for(vehicle, mapping)
     form = format_of(path)
-    own_names = form.table is not None and mapping is None
+    own_names = form.table is not None and not said
     problem, raw, table = "", None, None
-    if own_names:
-        assert form.table is not None
+    if form.table is not None:
         table = form.table(path)
-        recording = _recording_of(table, vehicle, where)
+        recording = (
+            stream_of_table(table, said, where=where) if mapping is not None else _recording_of(table, said, where)
+        )
     else:
-        recording = read_recording(path, mapping)
+        recording = read_recording(path, said)
     try:
-        table = table or assemble(recording, mapping)
+        if table is None:
+            table = assemble(recording, said)
+        elif said:
+            table = in_channels(table, said)
         raw = to_channels(table, vehicle, where=where)
     except GreyboxError as error:
         problem = str(error)
-    chosen = {} if own_names else choose(recording, mapping)
+    chosen = {} if own_names or (problem and mapping is None) else choose(recording, said)
     origins = {g: describe(s, recording.streams[s.stream]) for g, s in chosen.items()}
-    groups = tuple(_groups(raw, origins, vehicle, recording)) if raw is not None else ()
+    groups = tuple(_groups(raw, origins, recording)) if raw is not None else ()
     others = [
         f"{s.group}: {describe(s, recording.streams[s.stream])}"
         for s in recording.sources
@@ -218,11 +222,10 @@ def _same(one: Source, other: Source) -> bool:
     return (one.group, one.stream, one.fields) == (other.group, other.stream, other.fields)
 
 
-def _recording_of(table: Table, vehicle: Airframe | None, where: str) -> Recording:
+def _recording_of(table: Table, said: LogMapping, where: str) -> Recording:
     """A table as a recording, also where no column is known to be its time."""
-    time = vehicle.columns.get("t") if vehicle is not None else None
     try:
-        return stream_of_table(table, LogMapping(time_field=time.name if time else None), where=where)
+        return stream_of_table(table, said, where=where)
     except GreyboxError:
         empty: npt.NDArray[np.float64] = np.full(table.rows.size, np.nan)
         numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
@@ -231,7 +234,7 @@ def _recording_of(table: Table, vehicle: Airframe | None, where: str) -> Recordi
         return Recording(format="table", source=table.source, sha256=table.sha256, streams={TABLE: stream})
 
 
-def _groups(raw: RawLog, origins: dict[str, str], vehicle: Airframe | None, recording: Recording) -> list[ChannelGroup]:
+def _groups(raw: RawLog, origins: dict[str, str], recording: Recording) -> list[ChannelGroup]:
     steps = np.diff(raw.t)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     rate = 1.0 / float(np.median(steps)) if steps.size else 0.0
@@ -241,9 +244,8 @@ def _groups(raw: RawLog, origins: dict[str, str], vehicle: Airframe | None, reco
         if not names:
             continue
         share = float(np.mean([np.isfinite(raw.channels[n]).mean() for n in names]))
-        columns = [vehicle.columns[n].name if vehicle and n in vehicle.columns else n for n in names]
         short = f"{names[0]}..{names[-1]}" if len(names) > 3 else ", ".join(names)
-        origin = origins.get(group) or f"{short}: columns {', '.join(columns)}"
+        origin = origins.get(group) or f"{short}: columns {', '.join(names)}"
         own = rate * share if share < 0.95 else rate
         stream = next(
             (s for s in recording.streams.values() if origin.partition(": ")[2].startswith(s.name + " [")), None

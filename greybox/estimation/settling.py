@@ -345,8 +345,8 @@ class Settling:
     def _alike(self, one: Riccati, settled: Riccati) -> bool:
         """Whether gains and innovation covariances agree to `SETTLED`."""
         s = np.sqrt(np.diag(settled.S))
-        # A state without noise, which settles at zero, counts as zero from some size on.
-        size = np.sqrt(np.diag(settled.P)) + NOTHING * self._unit
+        # A state without noise, which settles at zero (rounded: below it), counts as zero from some size on.
+        size = np.sqrt(np.maximum(np.diag(settled.P), 0.0)) + NOTHING * self._unit
         off_s = np.abs(one.S - settled.S) / np.outer(s, s)
         off_n = np.abs(one.N - settled.N) / np.outer(size, s)
         return bool(max(off_s.max(initial=0.0), off_n.max(initial=0.0)) <= SETTLED)

@@ -13,6 +13,7 @@ import difflib
 import math
 import os
 import re
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -20,8 +21,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.data.channel import TIME, ColumnSpec, canonical_names, is_canonical, rotor_index
-from greybox.errors import UnknownNameError, VehicleError
+from greybox.data.readers.by_channel import by_group, is_by_channel
+from greybox.data.readers.mapping import LogMapping, mapping_of
+from greybox.errors import DataError, OldFormWarning, UnknownNameError, VehicleError
 from greybox.files import read_toml
 from greybox.frames import GRAVITY
 from greybox.model.beliefs import Belief, Beliefs, Why, default_sigma
@@ -99,8 +101,8 @@ class Vehicle(Shown):
     Jyy, Jzz.
 
     `effects` maps effect names to their parameters (the model's catalogue knows which names exist);
-    `noise` has the known sensor sigmas by sensor name (see `NOISES`); `columns` says where a log
-    keeps the canonical channels. `assumed` names the numbers whose sigma is the default of their
+    `noise` has the known sensor sigmas by sensor name (see `NOISES`); `columns` says which
+    fields of its logs are which channels. `assumed` names the numbers whose sigma is the default of their
     quantity; `schema` is that of the file.
     """
 
@@ -116,12 +118,12 @@ class Vehicle(Shown):
     effects: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
     nominal_voltage: float | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
-    columns: Mapping[str, ColumnSpec] = field(default_factory=dict)
+    columns: LogMapping = field(default_factory=LogMapping)
     assumed: frozenset[str] = frozenset()
     schema: str = EXACT_SCHEMA
 
     def __post_init__(self) -> None:
-        for key in ("effects", "noise", "columns"):
+        for key in ("effects", "noise"):
             object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -143,8 +145,7 @@ class Vehicle(Shown):
     def _shown_rows(self) -> list[dict[str, Cell]]:
         """One row per number: value, standard deviation and why it is believed so far."""
         return [
-            {"quantity": b.quantity, "value": b.value, "sigma": b.sigma, "why": b.why}
-            for b in self.beliefs.entries
+            {"quantity": b.quantity, "value": b.value, "sigma": b.sigma, "why": b.why} for b in self.beliefs.entries
         ]
 
     @property
@@ -170,17 +171,10 @@ class Vehicle(Shown):
         ..."""
         out = {"mass": self.mass}
         for i, axis in enumerate("xyz"):
-            out[f"inertia.{axis}{axis}"] = Quantity(
-                value=self.inertia[i][i], sigma=self.inertia_sigma[i]
-            )
+            out[f"inertia.{axis}{axis}"] = Quantity(value=self.inertia[i][i], sigma=self.inertia_sigma[i])
         for kind, curve in (("thrust", self.actuator.thrust), ("torque", self.actuator.torque)):
             out.update({f"{kind}.c{i}": quantity for i, quantity in enumerate(curve)})
-        out.update(
-            {
-                f"center_of_mass.{axis}": q
-                for axis, q in zip("xyz", self.center_of_mass, strict=True)
-            }
-        )
+        out.update({f"center_of_mass.{axis}": q for axis, q in zip("xyz", self.center_of_mass, strict=True)})
         return out
 
     @property
@@ -225,14 +219,9 @@ class Vehicle(Shown):
             "imu_position": list(self.imu_position),
             "rotor": [{"position": list(r.position), "spin": r.spin} for r in self.rotors],
             "actuator": actuator,
-            "effects": {
-                k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()
-            },
+            "effects": {k: {n: _plain(q, bare) for n, q in v.items()} for k, v in self.effects.items()},
             "noise": dict(self.noise),
-            "columns": {
-                k: {"name": c.name, "scale": c.scale, "offset": c.offset, "causal": c.causal}
-                for k, c in self.columns.items()
-            },
+            "columns": self.columns.to_dict(),
         }
         if self.nominal_voltage is not None:
             out["battery"] = {"nominal_voltage": self.nominal_voltage}
@@ -258,16 +247,29 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     `UnknownNameError` for a key that is not known, with the nearest names.
     """
     data = read_toml(path, what="vehicle file", error=VehicleError)
+    if _by_channel(data):
+        warnings.warn(
+            f"{path}: [columns] by channel goes with 0.2.0. Usual fix: `greybox vehicle check {path}` prints "
+            "it by group (docs/logs.md)",
+            OldFormWarning,
+            stacklevel=2,
+        )
     return Vehicle.from_dict(data, where=str(path))
+
+
+def columns_by_channel(path: str | os.PathLike[str]) -> bool:
+    """Whether a vehicle file has `[columns]` in the form before 0.1.0. Raises `VehicleError`."""
+    return _by_channel(read_toml(path, what="vehicle file", error=VehicleError))
+
+
+def _by_channel(data: Mapping[str, Any]) -> bool:
+    columns = data.get("columns")
+    return isinstance(columns, Mapping) and is_by_channel(columns)
 
 
 def _plain(quantity: Quantity, bare: bool) -> float | dict[str, float]:
     """As in a file; `bare` says that a number without sigma is exact there."""
-    return (
-        quantity.value
-        if quantity.exact and bare
-        else {"value": quantity.value, "sigma": quantity.sigma}
-    )
+    return quantity.value if quantity.exact and bare else {"value": quantity.value, "sigma": quantity.sigma}
 
 
 def _arm_length(rotors: Iterable[Rotor]) -> float:
@@ -324,13 +326,8 @@ def _quantities(
     exact = _Silent(EXACT_SCHEMA, 0.0, ())
     read = [_quantity(table, f"{key}[{i}]", v, "", exact) for i, v in enumerate(values)]
     if any(not q.exact for q in read):
-        raise table.error(
-            sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two"
-        )
-    x, y, z = (
-        Quantity(value=q.value, sigma=s)
-        for q, s in zip(read, _sigmas(table, sigma_key), strict=True)
-    )
+        raise table.error(sigma_key, f"sigma given twice, here and in {key}", fix="keep one of the two")
+    x, y, z = (Quantity(value=q.value, sigma=s) for q, s in zip(read, _sigmas(table, sigma_key), strict=True))
     return x, y, z
 
 
@@ -396,9 +393,7 @@ def _inertia(top: TomlTable, silent: _Silent) -> tuple[Matrix3, Vector3]:
 def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
     rotors = []
     if len(top.array("rotor", None)) > MOST_ROTORS:
-        raise top.error(
-            "rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor"
-        )
+        raise top.error("rotor", f"more than {MOST_ROTORS} rotors", fix="add one [[rotor]] per rotor")
     for i, value in enumerate(top.array("rotor", None)):
         table = TomlTable(value, file=top.file, path=f"rotor[{i}]")
         table.known(("position", "spin"))
@@ -412,14 +407,10 @@ def _rotors(top: TomlTable) -> tuple[Rotor, ...]:
             )
         rotors.append(Rotor(position=_vector(table, "position"), spin=int(spin)))
     if not rotors:
-        raise top.error(
-            "rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor"
-        )
+        raise top.error("rotor", "no rotor", fix="add one [[rotor]] with position and spin per rotor")
     places = [r.position for r in rotors]
     if len(set(places)) < len(places):
-        raise top.error(
-            "rotor", "two rotors at the same position", fix="give each rotor its own hub position"
-        )
+        raise top.error("rotor", "two rotors at the same position", fix="give each rotor its own hub position")
     return tuple(rotors)
 
 
@@ -457,53 +448,31 @@ def _actuator(table: TomlTable, silent: _Silent) -> Actuator:
     return Actuator(
         u_min=u_min,
         u_max=u_max,
-        hold="linear"
-        if table.choice("hold", ("previous", "linear"), "previous") == "linear"
-        else "previous",
-        rotor_radius=table.number("rotor_radius", positive=True)
-        if "rotor_radius" in table
-        else None,
+        hold="linear" if table.choice("hold", ("previous", "linear"), "previous") == "linear" else "previous",
+        rotor_radius=table.number("rotor_radius", positive=True) if "rotor_radius" in table else None,
         speed_max=table.number("speed_max", positive=True) if "speed_max" in table else None,
         thrust=thrust,
         torque=_quantities(table, "torque", ("torque.c0", "torque.c1", "torque.c2"), silent),
     )
 
 
-def _columns(table: TomlTable, rotors: int) -> dict[str, ColumnSpec]:
-    known = (TIME, *canonical_names(rotors))
-    out: dict[str, ColumnSpec] = {}
-    for key, value in table.value.items():
-        if key not in known:
-            index = rotor_index(key) if is_canonical(key) else None
-            if index is not None:
-                raise table.error(
-                    key,
-                    f"the vehicle has {rotors} rotors",
-                    fix="add the [[rotor]] or drop the column",
-                )
-            raise UnknownNameError("channel", key, known, where=table.place(""))
-        if isinstance(value, str):
-            value = {"name": value}
-        entry = TomlTable(value, file=table.file, path=f"{table.path}.{key}")
-        entry.known(("name", "scale", "offset", "causal"))
-        scale = entry.number("scale", 1.0)
-        if scale == 0.0:
-            raise entry.error(
-                "scale", "must not be zero", fix="give the factor from the log's unit to SI"
-            )
-        out[key] = ColumnSpec(
-            name=entry.text("name", key),
-            scale=scale,
-            offset=entry.number("offset", 0.0),
-            causal=entry.boolean("causal", True),
-        )
-    names = [c.name for c in out.values()]
-    for key, spec in out.items():
-        if names.count(spec.name) > 1:
+def _columns(table: TomlTable, rotors: int) -> LogMapping:
+    """What the table says in the dialect of mapping files, or in the form before 0.1.0."""
+    try:
+        content = table.value
+        if is_by_channel(content):
+            content = by_group(content, rotors, where=table.place(""))
+        said = mapping_of(content, where=table.file, path=table.path)
+    except DataError as error:
+        raise VehicleError(error.line) from None
+    for group in ("command", "rotor_speed"):
+        if group in said.sources and len(said.sources[group].fields) > rotors:
             raise table.error(
-                key, f"column '{spec.name}' is given to two channels", fix="name another column"
+                f"{group}.fields",
+                f"the vehicle has {rotors} rotors",
+                fix="add the [[rotor]] or drop the column",
             )
-    return out
+    return replace(said, optional=said.groups | {"clock", "time"})
 
 
 def _names_own_sensor(key: str) -> bool:
@@ -548,17 +517,13 @@ def _vehicle(top: TomlTable) -> Vehicle:
     silent = _Silent(schema, _arm_length(rotors), labelled)
     mass = _quantity(top, "mass", top.get("mass"), "mass", silent)
     if not mass.value > 0:
-        raise top.error(
-            "mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg"
-        )
+        raise top.error("mass", "must be positive", got=f"{mass.value:g}", fix="weigh the craft, in kg")
     inertia, inertia_sigma = _inertia(top, silent)
     effects_table = top.table("effects", {})
     effects = {}
     for name in effects_table.value:
         one = effects_table.table(name)
-        effects[name] = MappingProxyType(
-            {k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()}
-        )
+        effects[name] = MappingProxyType({k: _quantity(one, k, v, f"{name}.{k}", silent) for k, v in one.value.items()})
     noise = top.table("noise", {})
     noise.known((*NOISES, *(k for k in noise.value if _names_own_sensor(k))))
     battery = top.table("battery", {})
@@ -580,9 +545,7 @@ def _vehicle(top: TomlTable) -> Vehicle:
         rotors=rotors,
         actuator=_actuator(top.table("actuator"), silent),
         effects=effects,
-        nominal_voltage=battery.number("nominal_voltage", positive=True)
-        if "nominal_voltage" in battery
-        else None,
+        nominal_voltage=battery.number("nominal_voltage", positive=True) if "nominal_voltage" in battery else None,
         noise={k: noise.number(k, positive=True) for k in noise.value},
         columns=_columns(top.table("columns", {}), len(rotors)),
         schema=schema,

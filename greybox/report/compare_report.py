@@ -190,11 +190,11 @@ def _stated(report: Report, content: Mapping[str, Any], done: Sequence[Mapping[s
             for g, cell in h["groups"].items():
                 if cell.get("coverage95") is not None:
                     inside: list[Cell] = [f"{cell[f'coverage{level}']:.0%}" for level in (50, 68, 95)]
-                    rows.append([m["method"], g, h["h"], *inside, number(cell["nlpd"])])
+                    rows.append([m["method"], g, number(content["sample_time"] * h["h"]), *inside, number(cell["nlpd"])])
     if rows:
         with report.details("what the methods say about their own uncertainty ahead"):
             report.table(
-                ["method", "group", "samples ahead", "in 50 %", "in 68 %", "in 95 %", "NLPD"], rows, numeric=range(2, 7)
+                ["method", "group", "ahead [s]", "in 50 %", "in 68 %", "in 95 %", "NLPD"], rows, numeric=range(2, 7)
             )
 
 

@@ -48,6 +48,7 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
         axes.spines[side].set_color(MUTED)
         axes.spines[side].set_linewidth(0.7)
     axes.tick_params(colors=MUTED, labelcolor=MUTED, labelsize=8.5, width=0.7, length=3)
+    axes.tick_params(which="minor", color=MUTED)
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     return axes

@@ -120,6 +120,8 @@ def _learned(report: Report, content: Mapping[str, Any]) -> None:
 
 def _candidates(report: Report, content: Mapping[str, Any]) -> None:
     report.section("What competed")
+    dt = ((content.get("validation") or {}).get("after") or {}).get("sample_time")
+    ahead = f"{number(2 * dt)} to {number(50 * dt)} s ahead" if dt else "over the horizon of its training"
     body: list[list[Cell]] = []
     for c in sorted(content["candidates"], key=lambda c: -c["held_out_gain"]):
         chosen = c["name"] == content["chosen"] and not content["null"]
@@ -128,7 +130,7 @@ def _candidates(report: Report, content: Mapping[str, Any]) -> None:
         ["candidate", "held-out gain", ""],
         body,
         numeric=(1,),
-        caption="Share of the squared errors, 2 to 50 samples ahead, that a candidate saves on flights left out of its fit "
+        caption=f"Share of the squared errors {ahead} that a candidate saves on flights left out of its fit "
         "(one flight after the other; stretches of a flight where there are few). 0 %: no output was worth switching on.",
     )
 

@@ -88,6 +88,12 @@
     return NaN;
   }
 
+  // (factor, shift) from a place on the whole drawing to one on the drawing of a range.
+  function moved(log, full, range, from, to) {
+    const low = share(log, full, range[0]), factor = 1 / (share(log, full, range[1]) - low);
+    return [factor, from - factor * (from + low * (to - from))];
+  }
+
   function draw(a) {
     const whole = a.view.x === a.x;
     a.g.querySelectorAll('.tx, .ty').forEach((t) => { t.style.display = whole ? '' : 'none'; });
@@ -102,6 +108,18 @@
         pen = true;
       });
       c.path.setAttribute('d', d || 'M0 0');
+    });
+    // What is no curve moves with the drawing: a band as a whole, a marker by its place.
+    const [sx, dx] = moved(a.logx, a.x, a.view.x, a.box[0], a.box[2]), [sy, dy] = moved(a.logy, a.y, a.view.y, a.box[3], a.box[1]);
+    a.g.querySelectorAll(':scope > .band path').forEach((b) => {
+      b.drawn = b.drawn || b.getAttribute('d');
+      let i = 0;
+      b.setAttribute('d', b.drawn.replace(/-?[\d.]+/g, (n) => (i++ % 2 ? sy * n + dy : sx * n + dx).toFixed(2)));
+    });
+    a.g.querySelectorAll(':scope > .curve > g use').forEach((u) => {
+      u.first = u.first || [Number(u.getAttribute('x')), Number(u.getAttribute('y'))];
+      u.setAttribute('x', sx * u.first[0] + dx);
+      u.setAttribute('y', sy * u.first[1] + dy);
     });
     if (whole) return;
     a.own = make(a.g, 'g', { class: 'own' });

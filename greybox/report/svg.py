@@ -13,7 +13,9 @@ import warnings
 from html import escape
 
 import matplotlib
+import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 INK, MUTED, GRID, GROUND = "#0b0101", "#0b0202", "#0b0303", "#0b0404"
@@ -76,22 +78,23 @@ def to_svg(figure: Figure, *, name: str, label: str) -> str:
     width = float(box.group(1).split()[2])
     # Points of the drawing, times 1.36, are CSS pixels at the largest size that a figure is shown at.
     style = f"max-width: {1.36 * width:.0f}px"
-    live = f' data-axes="{escape(json.dumps(found))}"' if (found := _curves_only(figure)) else ""
+    live = f' data-axes="{escape(json.dumps(found))}"' if (found := _zoomable(figure)) else ""
     return f'<svg viewBox="{box.group(1)}" role="img" aria-label="{escape(label)}"{live} style="{style}">{body}'.strip()
 
 
-_MARKED = (("axes_", "axes"), ("xtick_", "tx"), ("ytick_", "ty"), ("line2d_", "curve"))
+_MARKED = (("axes_", "axes"), ("xtick_", "tx"), ("ytick_", "ty"), ("line2d_", "curve"),
+           ("PolyCollection_", "band"), ("FillBetweenPolyCollection_", "band"))  # fmt: skip
 """Groups of matplotlib's SVG that page.js looks for, by the beginning of their id, with their class."""
 
 
-def _curves_only(figure: Figure) -> list[dict[str, object]]:
+def _zoomable(figure: Figure) -> list[dict[str, object]]:
     """For page.js, of every axes: its box (left, top, right, bottom) on the drawing, its ranges and scales, what its
-    axes are called. Empty where anything but curves is drawn: such a figure stays as it is."""
+    axes are called. Empty where anything but curves and bands is drawn: such a figure stays as it is."""
     width, height = (72.0 * float(v) for v in figure.get_size_inches())
     found: list[dict[str, object]] = []
     for axes in figure.axes:
-        markers = [line.get_marker() for line in axes.lines]
-        if not markers or any(m not in ("None", None, "") for m in markers) or axes.collections or axes.patches:
+        bands = all(isinstance(c, PolyCollection) for c in axes.collections)
+        if not any(np.size(line.get_xdata()) > 2 for line in axes.lines) or not bands or axes.patches:
             return []
         place = axes.get_position()
         box = (place.x0 * width, (1 - place.y1) * height, place.x1 * width, (1 - place.y0) * height)

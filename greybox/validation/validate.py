@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greybox.data import Dataset, Flight, Segment
+from greybox.data import Dataset, Flight, Segment, group_names
 from greybox.data.segment import START_SECONDS
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation.engine import unfelt_place
@@ -141,8 +141,8 @@ class _Work:
         missing = "origin" if share >= SURVIVING else "step"
         if missing == "step":
             self.warnings.append(
-                f"only {share:.0%} of the origins have a reference at each of their {REQUIRED} steps: horizons without one "
-                "are left out"
+                f"only {share:.0%} of the origins have a reference at every sample of {REQUIRED * dt:.3g} s: "
+                "horizons without one are left out"
             )
         self.rows = {
             label: HorizonAccumulator(
@@ -338,14 +338,15 @@ class _Work:
                     continue
                 values = segment.channels[name]
                 beyond = np.nanmean((values < low - 0.1 * width) | (values > high + 0.1 * width))
-                if beyond > 0.01 and name not in self._unfelt_place:
+                if beyond > 0.01 and name not in self._unfelt:
                     out.append(f"{name} ({beyond:.0%})")
         if out:
             self.warnings.append(f"{flight.name}: outside the training range: {', '.join(dict.fromkeys(out))}")
 
     @functools.cached_property
-    def _unfelt_place(self) -> frozenset[str]:
-        return unfelt_place(self.model.dynamics)
+    def _unfelt(self) -> frozenset[str]:
+        """Channels that no prediction depends on; setpoints are none's input."""
+        return unfelt_place(self.model.dynamics).union(group_names("setpoint"))
 
     # ------------------------------------------------------------ result
 

@@ -34,7 +34,7 @@ WORDS: dict[str, Word] = {
     "free parameter": Word(means="a number that a fit estimates", instead_of=("degree of freedom of the fit",)),
     "gap": Word(means="how far errors ahead are above the floor"),
     "held-out": Word(means="not used in a fit, a search or a training", instead_of=("holdout", "unseen data")),
-    "horizon": Word(means="how far ahead a prediction looks, in seconds", instead_of=("lookahead", "look-ahead time")),
+    "horizon": Word(means="how far ahead a prediction looks [s]", instead_of=("lookahead", "samples ahead", "steps ahead")),
     "hybrid": Word(means="a physical model with a learned part"),
     "innovation": Word(means="one-step prediction error", instead_of=("prediction residual", "one-step residual")),
     "last value": Word(means="the measurement at the start, held: what a useful model must beat"),

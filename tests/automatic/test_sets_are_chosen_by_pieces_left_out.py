@@ -8,13 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.automatic.decide import Candidate, Decided, Given, decide, likeliest_of_the_good
 from greybox.automatic.facts import facts_of
 from greybox.automatic.fit import prepare
-from greybox.automatic.foretell import Score
+from greybox.automatic.foretell import Score, foretell
 from greybox.automatic.sets import Step, names_of, nested_sets
-from greybox.data import Dataset
+from greybox.data import Dataset, Flight
 from greybox.estimation.recipe import Decision
+from tests import simulated
 from tests.automatic.craft import flight, flights, flown, vehicle
 
 BASE = ("motor_lag", "command_delay", "gyro_bias")
@@ -96,3 +98,20 @@ def test_inflow_is_offered_where_something_shows_the_climb():
     assert "axial_inflow" not in offered
     placed = replace(seen, sensors=seen.sensors | {"position"})
     assert "axial_inflow" in {n for s in nested_sets(vehicle(), placed) for n in names_of(s)}
+
+
+def test_a_channel_that_is_never_seen_where_it_is_foretold_is_left_out_quietly():
+    """A position every fifth row, as its origins are: none is seen 0.1 or 0.5 s after one."""
+    data = simulated.flights(1, 4.0)
+    model = gb.fit(gb.build_model(simulated.vehicle(), data.channels, ("motor_lag",)), data, use_compiler=False).model
+    rare = np.arange(data.flights[0].segments[0].n) % 5 == 3
+
+    def slower(f: Flight) -> Flight:
+        (s,) = f.segments
+        thin = {k: np.where(rare[: s.n], v, np.nan) if k in "xyz" else v for k, v in s.channels.items()}
+        return replace(f, segments=(replace(s, channels=thin),))
+
+    thinned = Dataset(flights=tuple(map(slower, data.flights)))
+    scores = [foretell(model, d, use_compiler=False).blocks for d in (data, thinned)]
+    assert np.isfinite(scores).all()
+    assert scores[0].size == scores[1].size > 0

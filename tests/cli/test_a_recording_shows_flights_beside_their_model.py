@@ -23,6 +23,7 @@ from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
 from scenarios.studies.recovery import plant
+from tests.data.readers.writers import px4_attitude
 
 pytestmark = [
     pytest.mark.slow,
@@ -107,6 +108,20 @@ def test_the_band_of_force_holds_its_value(messages: dict[str, Messages]):
                 assert m["high"][axis] - m["low"][axis] < width
 
 
+def test_the_summary_tells_every_channel_and_its_type(run: Path):
+    """PlotJuggler opens the summary alone, takes the parser by the encoding of the messages, and the time of publication."""
+    from mcap.reader import make_reader
+
+    with (run / "fit.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert {c.message_encoding for c in summary.channels.values()} == {"protobuf"}
+    for channel in summary.channels.values():
+        assert summary.statistics.channel_message_counts[channel.id] > 0
+        assert summary.schemas[channel.schema_id].name in described(summary.schemas[channel.schema_id].data)
+
+
 def test_another_reader_gets_the_same_numbers(run: Path, messages: dict[str, Messages]):
     pytest.importorskip("mcap_protobuf", reason="pip install mcap-protobuf-support")
     from mcap.reader import make_reader
@@ -153,3 +168,37 @@ def test_a_recording_that_cannot_be_is_refused_before_any_work(run: Path, name: 
         (run / "there").write_text("a file, not a folder")
     assert main([*words, str(run / name)]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_flight_review_gets_attitude_rate_and_place_as_px4_would_log_them(run: Path, capsys: pytest.CaptureFixture[str]):
+    """pyulog, on which Flight Review stands, reads the log; its roll, pitch and yaw are those of rotation matrices."""
+    pyulog = pytest.importorskip("pyulog")
+    from pyulog.px4 import PX4ULog
+
+    target = run / "b.ulg"
+    words = ["validate", str(run / "fit" / "model.json"), "--log", str(run / "b.csv")]
+    assert main([*words, "--ulog", str(target)]) in (0, 1)
+    log = pyulog.ULog(str(target))
+    assert not log.file_corruption
+    assert PX4ULog(log).get_mav_type() == "Quadrotor"
+    PX4ULog(log).add_roll_pitch_yaw()
+    topics = {d.name: d.data for d in log.data_list}
+    assert "b" in log.logged_messages[0].message
+    model = IdentifiedModel.load(run / "fit" / "model.json")
+    c = read_logs([run / "b.csv"], model.physics.vehicle, rate=1 / model.sample_time).flights[0].segments[0].channels
+    truth = topics["vehicle_attitude_groundtruth"]
+    np.testing.assert_allclose(np.diff(truth["timestamp"]), 1e6 * model.sample_time, atol=1.0)
+    theirs = np.column_stack([truth[f"q[{i}]"] for i in range(4)])
+    ours = px4_attitude(c)
+    np.testing.assert_allclose(np.abs((theirs * ours).sum(axis=1)), 1.0, atol=1e-5)
+    place = topics["vehicle_local_position_groundtruth"]
+    for name, ned in zip("xyz", (c["y"], c["x"], -c["z"]), strict=True):
+        np.testing.assert_allclose(place[name], ned, atol=1e-5)
+    np.testing.assert_allclose(topics["vehicle_angular_velocity_groundtruth"]["xyz[1]"], -c["q"], atol=1e-5)
+    # The estimate is the model's, half a second ahead: near, not the same.
+    off = np.rad2deg(topics["vehicle_attitude"]["roll"] - truth["roll"])
+    assert 0.01 < np.sqrt(np.nanmean(((off + 180) % 360 - 180) ** 2)) < 20
+    capsys.readouterr()
+    assert main(["inspect", str(target)]) == 2
+    assert "predictions of a model" in capsys.readouterr().err
+    assert main([*words, "--ulog", str(run / "b.csv")]) == 2

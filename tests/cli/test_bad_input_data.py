@@ -36,8 +36,8 @@ spin = -1
 thrust = [0.0, 0.0, 0.15]
 torque = [0.0, 0.0, 0.001]
 
-[columns]
-p = { name = "p" }
+[columns.rate]
+fields = ["p", "q", "r"]
 """
 
 
@@ -111,9 +111,9 @@ BAD_VEHICLES = {
     "typo at the top": (VEHICLE.replace("mass =", "mas ="), "did you mean mass"),
     "typo in a table": (VEHICLE.replace("thrust =", "trust ="), "did you mean thrust"),
     "typo in a rotor": (VEHICLE.replace("spin", "spinn", 1), "did you mean spin"),
-    "typo in a column": (VEHICLE.replace('{ name = "p" }', '{ nam = "p" }'), "did you mean name"),
-    "typo in a channel": (VEHICLE.replace("p = {", "pp = {"), "unknown channel 'pp'"),
-    "fifth command": (VEHICLE.replace("p = {", "u5 = {"), "4 rotors"),
+    "typo in a column": (VEHICLE.replace("fields =", "field ="), "did you mean fields"),
+    "typo in a group": (VEHICLE.replace("columns.rate", "columns.rates"), "unknown key 'rates'"),
+    "fifth command": (VEHICLE + '[columns.command]\nfields = ["a", "b", "c", "d", "e"]\n', "4 rotors"),
     "no mass": (VEHICLE.replace("mass = 0.03", ""), "mass: missing"),
     "zero mass": (VEHICLE.replace("mass = 0.03", "mass = 0.0"), "mass: must be positive"),
     "negative mass": (VEHICLE.replace("mass = 0.03", "mass = -0.03"), "mass: must be positive"),
@@ -139,10 +139,13 @@ BAD_VEHICLES = {
     "thrust downward": (VEHICLE.replace("0.15]", "-0.15]"), "the thrust map gives"),
     "thrust of text": (VEHICLE.replace("[0.0, 0.0, 0.15]", '["a", "b", "c"]'), "a number is needed"),
     "no actuator": (VEHICLE[: VEHICLE.index("[actuator]")], "actuator: missing"),
-    "scale of zero": (VEHICLE.replace('{ name = "p" }', '{ name = "p", scale = 0.0 }'), "must not be zero"),
-    "causal as text": (VEHICLE.replace('{ name = "p" }', '{ name = "p", causal = "no" }'), "boolean"),
+    "scale of zero": (VEHICLE + "scale = 0.0\n", "must not be zero"),
+    "causal as text": (VEHICLE + 'causal = "no"\n', "boolean"),
     "table in place of a number": (VEHICLE.replace("name =", "gravity = {}\nname =", 1), "gravity"),
-    "column not in the log": (VEHICLE + 'u1 = { name = "motor_1" }\n', "unknown column 'motor_1'"),
+    "column not in the log": (
+        VEHICLE + '[columns.command]\nfields = ["motor_1", "u2", "u3", "u4"]\n',
+        "unknown column 'motor_1'",
+    ),
 }
 
 

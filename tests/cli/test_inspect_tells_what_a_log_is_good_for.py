@@ -13,6 +13,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.logs import read_log, read_table
+from greybox.data.readers.mapping import LogMapping
 from greybox.examples import flight_path, vehicle_path
 from tests.data.readers import writers as w
 
@@ -116,7 +117,7 @@ def test_the_conditioned_flight_is_that_of_the_csv_log(tmp_path: Path) -> None:
     pytest.importorskip("pyulog")
     c = w.channels(start=0, rows=2500)
     one = read_log(w.write_ulog(tmp_path / "f.ulg", c, slow_every=1), w.vehicle())
-    plain = replace(w.vehicle(), columns={})
+    plain = replace(w.vehicle(), columns=LogMapping())
     two = read_log(w.write_csv(tmp_path / "f.csv", c), plain)
     assert [s.n for s in one.segments] == [s.n for s in two.segments]
     for a, b in zip(one.segments, two.segments, strict=True):
@@ -171,6 +172,6 @@ def test_fit_says_before_any_work_what_inspect_says_first(
 
     monkeypatch.setattr("greybox.commands.fit.fit_with", stopped)
     bare = tmp_path / "V.toml"
-    bare.write_text(Path(VEHICLE).read_text().split("[columns]")[0])
+    bare.write_text(Path(VEHICLE).read_text().split("[columns.")[0])
     assert main(["fit", "--vehicle", str(bare), "--train", log, "--manual", "--out", str(tmp_path / "fit")]) == 130
     assert "stands.csv not usable: on the ground: motors run, but the gyro shows no motion" in capsys.readouterr().err

@@ -37,6 +37,14 @@ def test_as_flown_nothing_blocks_and_the_lag_is_seen(flown):
     assert 0.01 <= answers[0]["p_s"] <= 0.05
 
 
+def test_an_accelerometer_that_points_down_asks_for_its_frame(flown):
+    raw, vehicle = flown
+    down = {n: -raw.channels[n] for n in ("ay", "az")}
+    (found,) = check([replace(raw, channels={**raw.channels, **down})], vehicle).of("gravity")
+    assert found.severity == "blocking"
+    assert "frame = 'FRD'" in found.fix
+
+
 @pytest.mark.parametrize(("a", "b"), [(1, 2), (1, 3), (2, 4), (3, 4)])
 def test_exchanged_motors(flown, a, b):
     raw, vehicle = flown
@@ -70,4 +78,4 @@ def test_rotor_speeds_in_rpm_block_where_the_top_speed_is_stated(flown):
     assert list(ranges.run(View(raw=raw, vehicle=known))) == []
     found = list(ranges.run(View(raw=rpm, vehicle=known)))
     assert [f.severity for f in found] == ["blocking"] * 4
-    assert "rpm: scale 0.10472" in found[0].fix
+    assert "unit = 'rpm' in [columns.rotor_speed]" in found[0].fix

@@ -14,7 +14,7 @@ import pytest
 
 import greybox
 from greybox.cli import main
-from greybox.data.column_guess import guess_columns, guess_time, mapping_text
+from greybox.data.column_guess import draft, guess_columns, guess_time
 from greybox.data.inspection import inspect_log
 from greybox.data.logs import read_log
 from greybox.examples import flight_path, vehicle_path
@@ -25,7 +25,7 @@ from greybox.model.vehicle import read_vehicle
 def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_path: Path) -> None:
     log, vehicle = flight_path(kind, name), read_vehicle(vehicle_path(kind))
     columns = inspect_log(log).recording.streams["table"].fields
-    (tmp_path / "map.toml").write_text(mapping_text(guess_columns(columns), guess_time(columns)))
+    (tmp_path / "map.toml").write_text(draft(guess_columns(columns), guess_time(columns)))
     drafted, stated = read_log(log, mapping=tmp_path / "map.toml"), read_log(log, vehicle)
     compared = 0
     for channel in ("u1", "u4", "p", "q", "r", "ax", "az", "vbat", "qw", "qz", "x", "vz"):
@@ -56,7 +56,12 @@ def test_a_draft_reads_what_the_vehicle_file_reads(kind: str, name: str, tmp_pat
         ([f"ESC {i} (A)" for i in (1, 2, 3, 4)], [[2, 3, 2, 3]], None),
         (["rpm1", "rpm2", "rpm3", "rpm4"], [[1300, 3400, 1400, 3300]], ("rotor_speed", "rpm", None)),
         ([f"target_rpm_{i}" for i in (1, 2, 3, 4)], [[1300, 3400, 1400, 3300]], None),
+        ([f"motor{i}_pwm" for i in (1, 2, 3, 4)], [[1200, 1000, 1900, 1500]], ("command", "", (1000, 2000))),
+        ([f"esc{i}_rpm" for i in (1, 2, 3, 4)], [[9000, 9100, 8900, 12000]], ("rotor_speed", "rpm", None)),
+        ([f"motor{i}_temp" for i in (1, 2, 3, 4)], [[40, 41, 42, 40]], None),
         (["battery_temperature"], [[31]], None),
+        (["gyro_temp_0", "gyro_temp_1", "gyro_temp_2"], [[31, 32, 30]], None),
+        (["acc_bias_x", "acc_bias_y", "acc_bias_z"], [[0.1, 0.2, 0.0]], None),
         (["battery_soc"], [[90]], None),
         (["vel_setpoint_x", "vel_setpoint_y", "vel_setpoint_z"], [[1, 0, 0.2]], None),
         (["v_sp_x", "v_sp_y", "v_sp_z"], [[1, 0, 0.2]], None),
@@ -104,7 +109,7 @@ def test_the_battery_is_the_column_of_volts_wherever_it_stands_and_units_part_fa
 def test_a_draft_is_toml_whatever_the_names_hold() -> None:
     names = tuple(f'\N{HELICOPTER} "gyro"\\\x7f\t.{a}' for a in "xyz")
     guesses = guess_columns({n: np.full(50, 0.1) for n in names})
-    read = tomllib.loads(mapping_text(guesses, (names[0], "s")))
+    read = tomllib.loads(draft(guesses, (names[0], "s")))
     assert (tuple(read["rate"]["fields"]), read["time"]["field"]) == (names, names[0])
 
 
@@ -166,3 +171,17 @@ def test_the_way_on_can_be_typed_for_a_file_from_windows(
         typed = re.findall(rf"greybox (inspect .*{wanted} \S+)", capsys.readouterr().out)
         assert main(shlex.split(typed[0])) == (1 if wanted == "--draft" else 0)
     assert "usable" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("written", "scale"), [(2100.0, 100 / 7), (210_000.0, 1 / 7)])
+def test_electrical_turns_are_divided_by_pole_pairs_that_are_said(written: float, scale: float, tmp_path: Path) -> None:
+    """30 000 turns a minute of a motor with 14 poles, as Betaflight writes them and as an ESC says them."""
+    columns = {"t": 0.01 * np.arange(50)} | {f"eRPM[{i}]": np.full(50, written) for i in range(4)}
+    (guess,) = guess_columns(columns)
+    assert (guess.group, guess.unit, guess.scale) == ("rotor_speed", "rpm", pytest.approx(scale))
+    assert "14 poles" in guess.why
+    log = tmp_path / "f.csv"
+    log.write_text("\n".join([",".join(columns), *(",".join(map(str, r)) for r in zip(*columns.values(), strict=True))]))
+    (tmp_path / "map.toml").write_text(draft((guess,), ("t", "s")))
+    speeds = read_log(log, mapping=tmp_path / "map.toml", trim=False).segments[0].channels["omega1"]
+    np.testing.assert_allclose(speeds, 30_000 * np.pi / 30)

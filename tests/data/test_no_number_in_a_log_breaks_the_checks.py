@@ -152,7 +152,7 @@ def test_what_is_no_log_is_refused() -> None:
 @pytest.mark.parametrize("cell", ["1e300", "-1e39", "inf"])
 def test_a_cell_that_no_sensor_writes_is_refused_with_its_row(cell: str, tmp_path, capsys) -> None:
     rows = gzip.decompress(flight_path(SET, FLIGHT).read_bytes()).decode().splitlines()
-    column = vehicle(SET).columns["x"].name
+    column = vehicle(SET).columns.sources["position"].fields[0]
     cells = rows[ROW].split(",")
     cells[rows[0].split(",").index(column)] = cell
     rows[ROW] = ",".join(cells)

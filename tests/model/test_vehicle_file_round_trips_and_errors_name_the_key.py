@@ -31,7 +31,11 @@ PLAIN = {
     "effects": {"motor_lag": {"tau": {"value": 0.03, "sigma": 0.01}}},
     "battery": {"nominal_voltage": 3.7},
     "noise": {"gyro": 0.02},
-    "columns": {"p": "gyro_x", "vx": {"name": "vx", "causal": False}, "az": {"name": "acc", "scale": -9.81}},
+    "columns": {
+        "rate": {"fields": ["gyro_x", "-gyro_y", "gyro_z"], "unit": "deg/s"},
+        "velocity": {"fields": ["vx", "vy", "vz"], "causal": False},
+        "specific_force": {"fields": ["ax", "ay", "acc"], "scale": [1.0, 1.0, -9.81], "offset": 0.1},
+    },
 }
 
 
@@ -53,9 +57,9 @@ def test_priors_and_exact_numbers():
     assert quantities["thrust.c1"].exact
     assert quantities["center_of_mass.y"].sigma == 0.0005
     assert vehicle.effects["motor_lag"]["tau"] == Quantity(value=0.03, sigma=0.01)
-    assert vehicle.columns["p"].name == "gyro_x"
-    assert not vehicle.columns["vx"].causal
-    assert vehicle.columns["az"].scale == -9.81
+    assert vehicle.columns.sources["rate"].fields == ("gyro_x", "-gyro_y", "gyro_z")
+    assert not vehicle.columns.sources["velocity"].causal
+    assert vehicle.columns.sources["specific_force"].scale == (1.0, 1.0, -9.81)
     assert vehicle.gravity == 9.80665
     assert vehicle.actuator.hold == "previous"
     assert vehicle.nominal_voltage == 3.7
@@ -83,7 +87,7 @@ def test_a_bare_thrust_sigma_given_twice_is_an_error():
 
 def test_two_channels_from_one_column_is_an_error():
     plain = copy.deepcopy(PLAIN)
-    plain["columns"]["q"] = "gyro_x"
+    plain["columns"]["velocity"]["fields"][1] = "gyro_x"
     with pytest.raises(VehicleError, match="given to two channels"):
         Vehicle.from_dict(plain)
 

@@ -6,6 +6,7 @@ import functools
 import html.parser
 import inspect
 import sys
+import tempfile
 import typing
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.plausibility import check_vehicle
 from greybox.plots import Curve, panels
 from greybox.shown import LINES, Row, Shown, columns_of, html_table, shortened
+from mpc_export.bundle import ExportBundle, write_bundle
 from scenarios.plants.linear_systems import random_system, simulate
 from tests import simulated
 from tests.mpc_export import predictor_cases
@@ -91,6 +93,18 @@ def inspection() -> Shown:
     return inspect_log(log, gb.read_vehicle(gb.examples.vehicle_path("nanobench")))
 
 
+@functools.cache
+def plan() -> typing.Any:
+    """The shortest plan that can be: one manoeuvre of one flight, for one effect."""
+    return gb.plan(simulated.vehicle(), effects=["motor_lag"], seconds=4.0, piece=4.0)
+
+
+@functools.cache
+def bundle() -> ExportBundle:
+    folder = tempfile.mkdtemp(prefix="bundle")
+    return write_bundle(fitted().model, folder, targets=["casadi"])
+
+
 def identified() -> Identified:
     model = fitted().model
     return Identified(
@@ -115,6 +129,8 @@ SHOWN: dict[str, typing.Callable[[], typing.Any]] = {
     "horizons": lambda: validation().table,
     "profile": profile,
     "discovery": discovery,
+    "plan": plan,
+    "bundle": bundle,
     "identified": identified,
     "gp": lambda: hybrid_cases.push(hybrid_cases.craft()),
     "gp of pieces": predictor_cases.pieced,
@@ -221,7 +237,7 @@ def _type_checking(source: typing.Any, name: str) -> type:
 
 
 def test_plots_give_axes_with_names() -> None:
-    for it in (flight().flights[0], validation().table, discovery(), profile()):
+    for it in (flight().flights[0], validation().table, discovery(), profile(), plan()):
         axes = np.atleast_1d(it.plot())
         assert all(isinstance(a, matplotlib.axes.Axes) for a in axes)
         assert axes[-1].get_xlabel()

@@ -218,6 +218,15 @@ def test_the_result_is_valid_and_the_coverage_of_the_true_model_is_honest() -> N
     assert "position [m]" in result.format()
 
 
+def test_a_setpoint_elsewhere_is_no_extrapolation_and_a_faster_rate_is() -> None:
+    model = make_model()
+    segment = fly(model, 300)
+    far = replace(segment, channels={**segment.channels, "sp_x": np.full(segment.n, 9.0)})
+    said = validate(replace(model, domain={"sp_x": (-1.0, 1.0), "q": (-1e-9, 1e-9)}), dataset(far)).warnings
+    assert [w for w in said if "outside the training range" in w and "q (" in w]
+    assert not [w for w in said if "sp_x" in w]
+
+
 def test_longer_horizons_than_fifty_use_the_origins_that_reach_them() -> None:
     model = make_model()
     result = validate(model, dataset(fly(model, 160)), horizon_samples=(1, 100), use_compiler=False)
@@ -252,7 +261,7 @@ def main(arguments: list[str]) -> int:
 def test_the_command_writes_a_valid_result(tmp_path, capsys) -> None:
     model = make_model()
     segment = fly(model, 300, noise=1.0)
-    vehicle = (vehicle_path("nanobench").read_text()).split("[columns]")[0]
+    vehicle = (vehicle_path("nanobench").read_text()).split("[columns.")[0]
     (tmp_path / "v.toml").write_text(vehicle)
     plain = replace(model, dynamics=replace(model.dynamics, vehicle=read_vehicle(tmp_path / "v.toml")))
     plain.save(tmp_path / "model.json")

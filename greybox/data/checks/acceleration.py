@@ -55,7 +55,9 @@ def streams(view: View) -> Streams | str:
         return Reading(text=text, fix=fix, y=change, x=centred(increments(same, dt, n)))
 
     fix = "log ax, ay, az as the accelerometer measures them, in body axes (forward, left, up)"
-    quaternion = "negate qx, qy, qz in [columns]: the quaternion turns body into world"
+    quaternion = (
+        "put a minus sign before qx, qy, qz in [columns.attitude]: the quaternion turns body into world"
+    )
     readings = [
         reading("", "", turned("rotate", quaternions, force)),
         reading("the quaternion turns world into body", quaternion, turned("rotate_inverse", quaternions, force)),
@@ -96,7 +98,7 @@ RELATION = Relation(
     streams="velocity and specific force",
     factor="the velocity changes {0} times as much as the specific force says",
     where="vx, vy, vz against ax..az with qw..qz",
-    fix="bring position, velocity and attitude into one world frame (east, north, up) in [columns]",
+    fix="say the frame of position, velocity and attitude in [columns.position] and so on: NED, or ours (east, north, up)",
     least=0.05,
     much=0.4,
     units=(),

@@ -17,7 +17,7 @@ from greybox.data.checks.view import View
 SPAN = 0.2
 """Time [s] over which turns are taken."""
 DEGREES = 180.0 / np.pi
-MEND = "correct the order or the signs of the quaternion in [columns] (body to world, scalar first)"
+MEND = "correct the order or the signs of the quaternion in [columns.attitude] (body to world, scalar first)"
 
 ORDERS = {
     "": (0, 1, 2, 3),
@@ -62,12 +62,12 @@ RELATION = Relation(
     streams="gyro and attitude",
     factor="the attitude turns {0} times as far as the gyro says",
     where="p, q, r against qw..qz",
-    fix="correct the gyro's names and signs in [columns] (forward, left, up), or the attitude's body axes",
+    fix="say the gyro's axes: [columns.rate] frame = 'FRD', or a minus sign; or the frame of [columns.attitude]",
     least=0.01,
     much=0.03,
     units=(
-        (1.0 / DEGREES, "the gyro is in deg/s", "set scale = 0.017453292519943295 for p, q, r in [columns]"),
-        (DEGREES, "the gyro was scaled from deg/s to rad/s twice", "drop the scale of p, q, r in [columns]"),
+        (1.0 / DEGREES, "the gyro is in deg/s", "set unit = 'deg/s' in [columns.rate]"),
+        (DEGREES, "the gyro was scaled from deg/s to rad/s twice", "drop the unit or scale in [columns.rate]"),
     ),
     blocking=1.7,
     streams_of=streams,

@@ -45,7 +45,7 @@ def run(view: View) -> Iterator[Finding]:
             where="t",
             message=f"a sample rate of {rate:.4g} Hz: the time is hardly in seconds",
             evidence={"rate_hz": rate},
-            fix="set t = { name = ..., scale = 1e-3 } (milliseconds) or 1e-6 (microseconds) in [columns]",
+            fix="give the column of the time its unit: [columns.time] unit = 'ms' (or us, ns)",
         )
     elif not view.clock.uniform:
         yield Finding(

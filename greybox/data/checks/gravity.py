@@ -19,7 +19,7 @@ FAST = 0.2
 DEEP = 0.1
 """Flying this far [m] below the ground means that z points down."""
 
-DOWN = "negate z (and y, vz, vy: north-east-down to east-north-up) in [columns]"
+DOWN = "set frame = 'NED' in [columns.position] and [columns.velocity] (turns down to up, north to y)"
 
 
 def _finding(view: View, severity: str, message: str, fix: str, evidence: dict[str, float], where: str) -> Finding:
@@ -57,20 +57,24 @@ def run(view: View) -> Iterator[Finding | Unjudged]:
         return
     share = size / GRAVITY
     if 1 / GRAVITY / 2 < share < 2 / GRAVITY:
-        fix = "set scale = 9.81 for ax, ay, az in [columns]"
+        fix = "set unit = 'g' in [columns.specific_force]"
         yield _finding(view, "blocking", f"the specific force is in g (median size {size:.3g})", fix, evidence, where)
     elif GRAVITY / 2 < share < GRAVITY * 2:
         text = f"the specific force was scaled from g twice (median size {size:.3g})"
-        yield _finding(view, "blocking", text, "drop the scale of ax, ay, az in [columns]", evidence, where)
+        yield _finding(view, "blocking", text, "drop the unit or scale in [columns.specific_force]", evidence, where)
     elif not 0.6 < share < 1.6:
         text = f"the median specific force in flight is {size:.3g} m/s^2"
         severity = "blocking" if not 0.3 < share < 3 else "warning"
-        yield _finding(view, severity, text, "check the unit of ax, ay, az in [columns]", evidence, where)
+        yield _finding(view, severity, text, "check the unit in [columns.specific_force]", evidence, where)
     axis = int(np.argmax(np.abs(mean)))
     if axis != 2 or mean[2] < 0:
         shown = f"{'-' if mean[axis] < 0 else '+'}{'xyz'[axis]}"
         text = f"thrust acts along {shown} of the accelerometer, not along +z"
-        fix = "turn the accelerometer to forward, left, up in [columns]; specific force at rest is (0, 0, +9.81)"
+        fix = (
+            "say which axes: frame = 'FRD' in [columns.specific_force] and [columns.rate] (x forward, y right, z down)"
+            if axis == 2
+            else "turn the fields of [columns.specific_force] and [columns.rate] to forward, left, up"
+        ) + "; specific force at rest is (0, 0, +9.81)"
         yield _finding(view, "blocking", text, fix, evidence, where)
         return
     yield from _up(view, force, evidence)
@@ -135,4 +139,6 @@ def _up(view: View, force: FloatArray, evidence: dict[str, float]) -> Iterator[F
         yield _finding(view, "blocking", text, DOWN, {**evidence, "correlation": agreement}, "z")
 
 
-CHECK = Check(name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=per_flight(run))
+CHECK = Check(
+    name="gravity", question="Is the specific force in m/s^2, along +z, and up in the world?", run=per_flight(run)
+)

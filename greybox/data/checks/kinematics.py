@@ -242,7 +242,7 @@ def _sizes(
             where="t",
             message=f"the time runs {rate:.3g} times as fast as the motion: {', '.join(clocks)} say so alike",
             evidence={"clock_rate": rate, "lowest": low, "highest": high},
-            fix="correct the time stamps (scale of t in [columns]), or the rate at which the log was written",
+            fix="correct the time stamps (unit in [columns.time]), or the rate at which the log was written",
         )
         return
     for relation in relations:
@@ -267,7 +267,7 @@ def _factor(relation: Relation, flight: str, found: Related, pooled: Moments | N
 
 
 def _of_size(relation: Relation, flight: str, found: Related, size: Factor, which: str) -> Finding:
-    text, fix = relation.factor.format(f"{size.value:.3g}") + which, "check the scales of both in [columns]"
+    text, fix = relation.factor.format(f"{size.value:.3g}") + which, "check the units of both in [columns]"
     for usual, meaning, mend in relation.units:
         if 0.5 < size.value / usual < 2.0:
             text, fix = f"{meaning} ({text})", mend

@@ -37,10 +37,10 @@ RELATION = Relation(
     streams="position and velocity",
     factor="the position moves {0} times as far as the velocity says",
     where="x, y, z against vx, vy, vz",
-    fix="correct names and signs of x, y, z or vx, vy, vz in [columns]: both in one world frame, z up",
+    fix="correct fields and frame in [columns.position] or [columns.velocity]: both in one world frame, z up",
     least=0.02,
     much=0.2,
-    units=((1e3, "the position is in mm", "set scale = 0.001 for x, y, z in [columns]"),),
+    units=((1e3, "the position is in mm", "set unit = 'mm' in [columns.position]"),),
     blocking=1.6,
     streams_of=streams,
 )

@@ -110,7 +110,7 @@ def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
     far = float(left(total)[0]) + CLEAR * jackknife(left(sums.left_out)) < np.log(LEFT)
     moved = [f"u{i + 1} drives rotor {j + 1}" for i, j in enumerate(order) if i != j]
     says = f"(of what the commands explain, roll {agreement[0]:+.2f}, pitch {agreement[1]:+.2f} where +1 is right)"
-    fix = "compare rotor positions and u1.. in [columns] with the craft, and the signs of the gyro axes"
+    fix = "compare rotor positions and the fields of [columns.command] with the craft, and the signs of the gyro axes"
     evidence["agreement_other_order"] = float(best[:2].mean())
     if moved and far and bool((best[:2] >= AGREE).all()):
         return Verdict(
@@ -118,7 +118,7 @@ def _order(sums: Sums, promised: FloatArray) -> Verdict | None:
             where="u1.. against p, q, r",
             message=f"the motor order is wrong: {', '.join(moved)} {says}",
             evidence=evidence,
-            fix="reorder u1.. in [columns] or the [[rotor]] tables (or correct a gyro axis with the wrong sign)",
+            fix="reorder the fields of [columns.command] or the [[rotor]] tables (or correct the sign of a gyro axis)",
         )
     if bool((agreement[:2] >= AGREE).all()):
         return None
@@ -175,7 +175,7 @@ def _strength(vehicle: Airframe, sums: Sums) -> Iterator[Verdict]:
         where="p, q, r",
         message=f"angular acceleration {ratio:.3g} times what thrust and inertia promise: the gyro is {what}",
         evidence={"found_over_promised": ratio},
-        fix="set the scale of p, q, r in [columns] (deg/s: 0.017453292519943295), or correct inertia and thrust",
+        fix="set the unit in [columns.rate] (deg/s, rad/s), or correct inertia and thrust",
     )
 
 

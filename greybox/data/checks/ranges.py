@@ -21,9 +21,9 @@ UNIT_SLACK = 0.02
 """Largest deviation of a quaternion's length from 1."""
 
 FIXES = {
-    "command": "scale the commands to the range of the vehicle file in [columns] (PWM 0..65535: 1.5259e-5)",
-    "rotor_speed": "check the unit: rad/s (rpm: scale 0.10472 in [columns]), and actuator.speed_max",
-    "rate": "check the unit: rad/s (deg/s: scale 0.0174533 in [columns])",
+    "command": "give the range of the commands: [columns.command] limits = [0, 65535], [1000, 2000] or what the log says",
+    "rotor_speed": "check the unit: rad/s (unit = 'rpm' in [columns.rotor_speed]), and actuator.speed_max",
+    "rate": "check the unit: rad/s (unit = 'deg/s' in [columns.rate])",
     "specific_force": "check the unit: m/s^2",
     "attitude": "check which columns hold the quaternion",
 }
@@ -53,7 +53,7 @@ def run(view: View) -> Iterator[Finding]:
                 where=f"channel {name}, row {log.rows[outside[0]]}",
                 message=f"{outside.size} value(s) outside {lower:g} .. {upper:g} {declared.unit}",
                 evidence={"rows": int(outside.size), "share": share, "worst": float(worst)},
-                fix=FIXES.get(declared.group, "check unit and scale in [columns]"),
+                fix=FIXES.get(declared.group, "check the unit in [columns]"),
             )
     yield from _removed(view)
     names = group_names("attitude")

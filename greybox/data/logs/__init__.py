@@ -27,9 +27,17 @@ def read_table(path: Path, vehicle: Airframe | None = None, *, mapping: Path | L
     """Read a log of any format into canonical channels on its own clock, which is not judged here.
 
     `mapping` is a mapping file (schema "greybox.mapping/1") that says which fields are which channels, for logs whose
-    names greybox does not know. Raises `DataError` or `UnknownNameError` where the file is not a log of this vehicle.
+    names greybox does not know; what it leaves open the vehicle's `columns` say. Raises `DataError` or
+    `UnknownNameError` where the file is not a log of this vehicle.
     """
-    return to_channels(read_columns(path, mapping), vehicle, where=os.fspath(path))
+    return to_channels(read_columns(path, mapping_for(vehicle, mapping)), vehicle, where=os.fspath(path))
+
+
+def mapping_for(vehicle: Airframe | None, mapping: Path | LogMapping | None) -> LogMapping:
+    """What a mapping file (or its path) and the vehicle's `columns` say of a log; the file comes first. Raises
+    `DataError`, `UnknownNameError`."""
+    said = mapping if isinstance(mapping, LogMapping) else LogMapping() if mapping is None else read_mapping(mapping)
+    return said if vehicle is None else said.over(vehicle.columns)
 
 
 def read_possible(

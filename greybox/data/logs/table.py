@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from greybox.errors import printable
+from greybox.errors import DataError, printable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -18,7 +18,8 @@ class Table:
     """Columns of one file under their own names: float64 (NaN = empty cell), or text where a cell is not a number.
 
     `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels, units and frames of
-    the contract already, so that a vehicle's `[columns]` do not apply; `noncausal` and `notes` are then the reader's.
+    the contract already; `noncausal` and `notes` are then the reader's, and `origins` maps channels to the columns of the
+    file, where that is one table.
     """
 
     columns: Mapping[str, npt.NDArray[Any]]
@@ -28,6 +29,27 @@ class Table:
     canonical: bool = False
     noncausal: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict)
+
+
+def text_error(table: Table, column: str, name: str) -> DataError:
+    """The error of a column that holds text and is needed as `name`."""
+    row, cell = _first_text(table, table.columns[column])
+    return DataError(
+        f"'{cell}' is not a number",
+        where=f"{table.source}, row {row}, column '{column}' ({name})",
+        fix="leave the cell empty where the value is missing",
+    )
+
+
+def _first_text(table: Table, column: npt.NDArray[Any]) -> tuple[int, str]:
+    for row, cell in zip(table.rows, column, strict=True):
+        try:
+            float(str(cell) or "nan")
+        except ValueError:
+            text = str(cell)
+            return int(row), text if len(text) <= 30 else text[:27] + "..."
+    raise AssertionError("a text column without text")
 
 
 def flight_name(path: str | Path) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from greybox.data.logs.table import Table
 from greybox.data.readers.ardupilot import FORMAT as ARDUPILOT
-from greybox.data.readers.assemble import assemble, choose, clock_of, describe, stream_of_table
+from greybox.data.readers.assemble import assemble, choose, clock_of, describe, in_channels, stream_of_table
 from greybox.data.readers.betaflight import FORMAT as BETAFLIGHT
 from greybox.data.readers.crazyflie import FORMAT as CRAZYFLIE
 from greybox.data.readers.csv_table import FORMAT as CSV
@@ -92,13 +92,13 @@ def read_recording(path: str | os.PathLike[str], mapping: LogMapping | None = No
 def read_columns(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | LogMapping | None = None) -> Table:
     """A log of any format as one table. Logs that are a table keep their own columns where no mapping is given.
 
-    All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical channels. Raises
-    `DataError` and `UnknownNameError`.
+    All others, and all with a mapping (a `LogMapping` or the path of its file), come in canonical channels; what no
+    channel is made of stays in a table. Raises `DataError` and `UnknownNameError`.
     """
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = read_mapping(mapping)
     one = format_of(path)
-    if one.table is not None and mapping is None:
+    if one.table is not None:
         read: Callable[..., Table] = one.table
-        return read(path)
+        return in_channels(read(path), mapping) if mapping else read(path)
     return assemble(read_recording(path, mapping), mapping)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from greybox.data.channel import GROUPS, group_names, is_canonical, rotor_index
-from greybox.data.logs.table import Table
+from greybox.data.logs.table import Table, text_error
 from greybox.data.raw import FloatArray
 from greybox.data.readers.mapping import TABLE, TIME_UNITS, LogMapping
 from greybox.data.readers.placing import at_rows, commands_at
@@ -39,16 +39,25 @@ _TIMES = ("t", "time", "timestamp", "time_s", "t_s", "time_ms", "time_us", "time
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
     """A log that is one table, as a recording of one stream. Raises `DataError` where no column is the time."""
     numbers = {k: v for k, v in table.columns.items() if v.dtype.kind == "f"}
-    name = mapping.time_field or next((k for k in numbers if k.lower() in _TIMES), None)
+    called = {k.lower(): k for k in reversed(numbers)}
+    named = mapping.time_field
+    if named not in table.columns and "time" in mapping.optional:
+        named = None
+    name = named or next((called[k] for k in _TIMES if k in called), None)
     if name is None or name not in numbers:
         if name is not None and name not in table.columns:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
-        raise DataError("no numeric time column", where=where, fix='name it in the mapping file: [time] field = "..."')
+        raise DataError("no column 't' for the time", where=where, got=f"columns {', '.join(list(table.columns)[:12])}",
+                        fix='say which it is: [time] field = "..." in a mapping file (docs/logs.md)')  # fmt: skip
     by_name = next((u for u in ("ms", "us", "ns") if name.lower().endswith("_" + u)), "s")
     unit = mapping.time_unit or by_name
     text = tuple(k for k in table.columns if k not in numbers)
     stream = Stream(
-        name=TABLE, t=numbers[name] * TIME_UNITS[unit], fields=numbers, clock=f"column {name} [{unit}]", unread=text
+        name=TABLE,
+        t=numbers[name] * (TIME_UNITS[unit] * mapping.time_scale) + mapping.time_offset,
+        fields=numbers,
+        clock=f"column {name} [{unit}]",
+        unread=text,
     )
     sources = []
     rotors = max((rotor_index(k) or 0 for k in numbers), default=0)
@@ -66,7 +75,7 @@ def usable(recording: Recording, source: Source) -> bool:
     stream = recording.streams.get(source.stream)
     if stream is None or stream.n < 2:
         return False
-    columns = [stream.fields.get(f.lstrip("-")) for f in source.fields]
+    columns = [stream.fields.get(f.lstrip("-")) for f in source.fields if f]
     return all(c is not None and bool(np.isfinite(c).any()) for c in columns)
 
 
@@ -76,15 +85,18 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
     Raises `UnknownNameError` for a stream or field of the mapping that the log has not, `DataError` for one without
     values.
     """
-    mapping = mapping or LogMapping()
+    mapping, _ = present(recording, mapping or LogMapping())
+    used = mapping.names
     out: dict[str, Source] = {}
     for group in GROUPS:
         if group in mapping.unused:
             continue
         if group in mapping.sources:
-            out[group] = _demanded(recording, mapping.sources[group], mapping.where)
+            optional = group in mapping.optional and group != "command"
+            out[group] = _demanded(recording, mapping.sources[group], mapping.where, empty=optional)
             continue
         good = [s for s in recording.sources if s.group == group and usable(recording, s)]
+        good = [s for s in good if s.stream != TABLE or used.isdisjoint(s.fields)]
         if group in mapping.preferred:
             wanted = mapping.preferred[group]
             good = [s for s in good if s.stream == wanted]
@@ -99,17 +111,59 @@ def choose(recording: Recording, mapping: LogMapping | None = None) -> dict[str,
     return out
 
 
-def _demanded(recording: Recording, source: Source, where: str) -> Source:
+def present(recording: Recording, mapping: LogMapping) -> tuple[LogMapping, tuple[str, ...]]:
+    """(the mapping without what is optional and not in the log, one note for each that was left out).
+
+    Where a table has none of the columns of a group, those of our names are taken. Raises `UnknownNameError` for a rotor
+    whose command alone is not there.
+    """
+    gone: set[str] = set()
+    notes: list[str] = []
+    sources = dict(mapping.sources)
+    for group in sorted(mapping.optional & mapping.groups, key=GROUPS.index):
+        source = sources.get(group)
+        name = source.stream if source is not None else mapping.preferred.get(group)
+        stream = recording.streams.get(name) if name is not None else None
+        if stream is None:
+            if name is not None:
+                gone.add(group)
+            if name not in (None, TABLE):
+                notes.append(f"the log has no stream {name} for the {group}")
+        elif source is not None:
+            there = [f if f.lstrip("-") in {*stream.fields, *stream.unread} else "" for f in source.fields]
+            lost = [f.lstrip("-") for f, t in zip(source.fields, there, strict=True) if f and not t]
+            if group == "command" and lost and any(there):
+                channels = group_names(group, len(there))
+                raise UnknownNameError("column", lost[0], stream.fields,
+                                       where=f"{recording.source}: the command {channels[there.index('')]}")  # fmt: skip
+            if lost:
+                notes.append(f"the log has no {', '.join(lost)} for the {group}")
+            sources[group] = replace(source, fields=tuple(there))
+            if not any(there):
+                gone.add(group)
+    clock = None if "clock" in mapping.optional and mapping.clock not in recording.streams else mapping.clock
+    kept = replace(
+        mapping,
+        sources={g: s for g, s in sources.items() if g not in gone},
+        preferred={g: s for g, s in mapping.preferred.items() if g not in gone},
+        changed={g: c for g, c in mapping.changed.items() if g not in gone},
+        clock=clock,
+    )
+    return kept, tuple(notes)
+
+
+def _demanded(recording: Recording, source: Source, where: str, *, empty: bool = False) -> Source:
+    """The source, which must be there, and hold some values unless it may be `empty`."""
     place = f"{where}: {source.group}"
     if source.stream not in recording.streams:
         raise UnknownNameError("stream", source.stream, recording.streams, where=place)
     stream = recording.streams[source.stream]
-    for name in source.fields:
+    for name in filter(None, source.fields):
         if name.lstrip("-") not in stream.fields:
             if name.lstrip("-") in stream.unread:
                 raise DataError(f"field '{name}' of {stream.name} holds no numbers", where=place)
             raise UnknownNameError("field", name.lstrip("-"), stream.fields, where=f"{place}, stream {stream.name}")
-    if not usable(recording, source):
+    if not empty and not usable(recording, source):
         raise DataError(f"stream {stream.name} holds no values there", where=place, fix="name another stream")
     return source
 
@@ -143,6 +197,7 @@ def assemble(recording: Recording, mapping: LogMapping | None = None) -> Table:
 
 
 def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
+    mapping, absent = present(recording, mapping or LogMapping())
     chosen = choose(recording, mapping)
     clock = clock_of(recording, chosen, mapping)
     base = recording.streams[clock.stream]
@@ -151,7 +206,7 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     rows = base.t - clock.delay
     zero = float(rows[np.isfinite(rows)][0]) if np.isfinite(rows).any() else 0.0
     columns: dict[str, npt.NDArray[Any]] = {"t": rows - zero}
-    notes = [*recording.notes]
+    notes = [*recording.notes, *absent]
     if abs(zero) > 1e-9:
         notes.append(f"t = 0 is {zero:.6f} s on the clock of the log ({base.clock or base.name})")
     attitude: tuple[FloatArray, FloatArray] | None = None
@@ -160,8 +215,10 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     for group in ordered:
         source = chosen[group]
         stream = recording.streams[source.stream]
-        t, values = samples(stream, source)
-        apart = _apart(t, rows)
+        direct = source.stream == clock.stream and source.delay == clock.delay
+        values = converted(stream, source)
+        t, values = (rows, values) if direct else _increasing(stream.t - source.delay, values)
+        apart = "" if direct else _apart(t, rows)
         if apart:
             said = f"{describe(source, stream)}: another clock than the rows of {base.name}: {apart}"
             if group == "command":
@@ -169,14 +226,13 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
             notes.append(f"left out, {said}; set [{group}] delay in a mapping file")
             continue
         if group == "attitude":
-            attitude = (t, values)
+            attitude = _increasing(t, values)
         if group == "velocity" and source.frame in ("FLU", "FRD"):
             if attitude is None:
                 notes.append("velocity in body axes left out: there is no attitude to turn it")
                 continue
             values = _rotations("rotate", _unit(at_rows(attitude[0], attitude[1], t, stream.step)), values)
-        direct = source.stream == clock.stream and source.delay == clock.delay and t.size == rows.size
-        if direct and np.array_equal(t, rows):
+        if direct:
             placed = values
         elif group in ("command", "setpoint"):
             placed = commands_at(t, values, rows, base.step, stream.step)
@@ -224,11 +280,13 @@ def describe(source: Source, stream: Stream) -> str:
     names = group_names(source.group, len(source.fields))
     shown = f"{names[0]}..{names[-1]}" if len(names) > 3 else ", ".join(names)
     fields = ", ".join(source.fields[:4]) + (", ..." if len(source.fields) > 4 else "")
-    how = [f"{stream.rate:.4g} Hz"]
+    how = [] if stream.name == TABLE else [f"{stream.rate:.4g} Hz"]
     how += [source.unit] if source.unit not in ("", "1") else []
     how += [source.frame] if source.frame else []
     how += [f"{source.limits[0]:g}..{source.limits[1]:g}"] if source.limits else []
     how += [f"{1e3 * source.delay:.3g} ms earlier than its stamps"] if source.delay else []
+    if stream.name == TABLE:
+        return f"{shown}: columns {fields}{f' ({comma})' if (comma := ', '.join(how)) else ''}"
     how += [source.note] if source.note else []
     return f"{shown}: {stream.name} [{fields}] ({', '.join(how)})"
 
@@ -240,48 +298,94 @@ def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
     return numeric(name, *arrays)
 
 
-def samples(stream: Stream, source: Source) -> tuple[FloatArray, FloatArray]:
-    """(t (N,), values (N, K)) of a source in our units and frames, at increasing times; velocity may be in body axes."""
+def converted(stream: Stream, source: Source) -> FloatArray:
+    """Values (N, K) of a source in our units and frames, row by row; velocity may be in body axes.
+
+    What is infinite is missing, but in a table, where the rows have a number by which it is refused later.
+    """
     columns = []
     for name in source.fields:
-        values = stream.fields[name.lstrip("-")]
+        values = stream.fields[name.lstrip("-")] if name else np.full(stream.n, np.nan)
         columns.append(-values if name.startswith("-") else values)
     matrix: FloatArray = np.column_stack(columns).astype(np.float64)
-    matrix[~np.isfinite(matrix)] = np.nan
+    if stream.name != TABLE:
+        matrix[~np.isfinite(matrix)] = np.nan
     if source.convert is not None:
         matrix = source.convert(matrix)
-    factor = UNITS.get(source.group, {}).get(source.unit, 1.0) * source.scale
-    if factor != 1.0:
+    factor = UNITS.get(source.group, {}).get(source.unit, 1.0) * np.asarray(source.scale)
+    if np.any(factor != 1.0):
         matrix = matrix * factor
+    if np.any(np.asarray(source.offset) != 0.0):
+        matrix = matrix + np.asarray(source.offset)
     if source.limits is not None:
         low, high = source.limits
         matrix = (matrix - low) / (high - low)
-    matrix = _our_frame(matrix, source)
-    if source.group == "attitude":
-        matrix, _ = continuous_signs(_unit(matrix))
-    t = stream.t - source.delay
+    if source.group == "attitude" and matrix.shape[1] == 3:
+        matrix = _rotations("from_euler", matrix)
+    matrix = other_frame(matrix, source.group, source.frame)
+    return continuous_signs(_unit(matrix))[0] if source.group == "attitude" else matrix
+
+
+def _increasing(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The samples at times that grow; of several at one time the first."""
     good = np.isfinite(t)
     if good.all() and bool((np.diff(t) > 0).all()):
-        return t, matrix
+        return t, values
     order = np.flatnonzero(good)[np.argsort(t[good], kind="stable")]
     first = np.concatenate([[True], np.diff(t[order]) > 0])
-    return t[order][first], matrix[order][first]
+    return t[order][first], values[order][first]
 
 
-def _our_frame(values: FloatArray, source: Source) -> FloatArray:
-    """FRD and NED to FLU and ENU; Euler angles (roll, pitch, yaw) to a quaternion."""
-    if source.group == "attitude":
-        quaternion = _rotations("from_euler", values) if values.shape[1] == 3 else values
-        if source.frame != "FRD/NED":
-            return quaternion
+def in_channels(table: Table, mapping: LogMapping) -> Table:
+    """A table with columns of its own, in canonical channels as a mapping says.
+
+    Rows, their numbers and their stamps stay, and so do columns that are no channel of a group that is named. Raises
+    `DataError` and `UnknownNameError` (see `assemble`).
+    """
+    if table.rows.size < 2:
+        return table  # refused later, as one without a mapping
+    for name in {mapping.time_field or "t"} & set(table.columns):
+        if table.columns[name].dtype.kind != "f":
+            raise text_error(table, name, "t")
+    recording = stream_of_table(table, mapping, where=table.source)
+    stream = recording.streams[TABLE]
+    for name in mapping.names & set(stream.unread):
+        raise text_error(table, name, name)
+    kept, absent = present(recording, mapping)
+    told = kept.groups
+    sources = {g: s for g, s in choose(recording, mapping).items() if g in told}
+    own = replace(table, columns={}, canonical=True, notes=absent)
+    if sources:
+        own = assemble(replace(recording, sources=tuple(s for s in recording.sources if s.group in told)), mapping)
+    origins: dict[str, str] = {}
+    for group, source in sources.items():
+        names = group_names(group, len(source.fields))
+        if len(names) == len(source.fields):
+            origins |= {n: f.lstrip("-") for n, f in zip(names, source.fields, strict=True) if f}
+    read = {f.lstrip("-") for s in sources.values() for f in s.fields}
+    used = {*mapping.names, *read, *(n for g in told for n in group_names(g, 99))}
+    return replace(
+        own,
+        columns={**own.columns, "t": stream.t, **{n: c for n, c in table.columns.items() if n not in used | {"t"}}},
+        rows=table.rows,
+        origins=origins,
+        notes=tuple(n for n in own.notes if not n.startswith("t = 0 is ")),
+    )
+
+
+def other_frame(values: FloatArray, group: str, frame: str) -> FloatArray:
+    """Values (N, K) of a group in one of its `FRAMES` turned to ours, or ours to it: each turn is its own inverse."""
+    if group == "attitude":
+        if frame != "FRD/NED":
+            return values
         # v_ENU = R(earth) v_NED and v_FRD = R(body) v_FLU are turns by pi about (1, 1, 0) and about x.
         half = np.sqrt(0.5)
-        earth = np.tile([0.0, half, half, 0.0], (len(quaternion), 1))
-        body = np.tile([0.0, 1.0, 0.0, 0.0], (len(quaternion), 1))
-        return _rotations("multiply", _rotations("multiply", earth, quaternion), body)
-    if source.frame == "FRD":
+        earth = np.tile([0.0, half, half, 0.0], (len(values), 1))
+        body = np.tile([0.0, 1.0, 0.0, 0.0], (len(values), 1))
+        return _rotations("multiply", _rotations("multiply", earth, values), body)
+    if frame == "FRD":
         return values * np.array([1.0, -1.0, -1.0])
-    if source.frame == "NED":
+    if frame == "NED":
         return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
     return values
 

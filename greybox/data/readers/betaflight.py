@@ -62,7 +62,9 @@ def read_betaflight(path: Path) -> Recording:
     stream = Stream(name="main", t=fields["time"] * 1e-6, fields=fields, kind="I and P frames", clock="microseconds")
     notes = [f"flight {index} of the {count} in the file (the longest)"] if count > 1 else []
     if frames.before:
-        notes.append(f"{frames.before} frame(s) before the first whole one are left out: they are differences to nothing")
+        notes.append(
+            f"{frames.before} frame(s) before the first whole one are left out: they are differences to nothing"
+        )
     if not frames.whole:
         notes.append("the log ends in the middle of a frame, or is damaged from there on; it is read up to it")
     sources, said = _sources(fields, headers)

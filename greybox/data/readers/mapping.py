@@ -1,4 +1,7 @@
-"""Mapping file (TOML, schema "greybox.mapping/1"): which fields of a log are which channels, where no reader knows.
+"""The dialect of columns: which fields of a log are which channels, where no reader knows.
+
+It is spoken in a mapping file (TOML, schema "greybox.mapping/1") and in the table `[columns]` of a vehicle file, where
+`[rate]` is called `[columns.rate]`. A mapping file must fit its logs; a vehicle file may name what some logs lack.
 
     schema = "greybox.mapping/1"
     clock = "/imu"                       # stream whose stamps become the rows; default: that of the body rate
@@ -19,10 +22,11 @@ the one that is taken; `use = false` leaves the group out.
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from greybox.data.channel import GROUPS, group_names
@@ -35,24 +39,120 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TABLE = "table"
 """Name of the only stream of a log that is one table."""
 
-_KEYS = ("stream", "fields", "unit", "frame", "scale", "delay", "limits", "causal", "use")
+_TIME_KEYS = ("field", "unit", "scale", "offset")
+_KEYS = ("stream", "fields", "unit", "frame", "scale", "offset", "delay", "limits", "causal", "use")
+_PER_ROTOR = ("command", "rotor_speed")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogMapping:
-    """A mapping file: sources per group, groups left out, clock and time column.
+    """Sources per group, groups left out, clock and time column, of one file.
 
-    Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay and causality.
+    Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay and causality. A log
+    may lack what the groups (and "clock", "time") of `optional` name. The time [s] is `time_scale` times its column plus
+    `time_offset`.
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
     preferred: Mapping[str, str] = field(default_factory=dict)
     changed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     unused: frozenset[str] = frozenset()
+    optional: frozenset[str] = frozenset()
     clock: str | None = None
     time_field: str | None = None
     time_unit: str | None = None
-    where: str = ""
+    time_scale: float = 1.0
+    time_offset: float = 0.0
+    where: str = field(default="", compare=False)
+
+    def __bool__(self) -> bool:
+        """Whether it says anything."""
+        return self != LogMapping()
+
+    @property
+    def groups(self) -> frozenset[str]:
+        """The groups that it says something of."""
+        return frozenset({*self.sources, *self.preferred, *self.changed, *self.unused})
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Columns of a log that is one table, as far as they are named."""
+        fields = {f.lstrip("-") for s in self.sources.values() if s.stream == TABLE for f in s.fields}
+        return frozenset(fields | {self.time_field or ""}) - {""}
+
+    def over(self, other: LogMapping) -> LogMapping:
+        """This mapping, and of `other` what it leaves open."""
+        mine = self.groups
+
+        def rest(theirs: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: v for k, v in theirs.items() if k not in mine}
+
+        time = self if self.time_field or self.time_unit else other
+        stated = mine | ({"clock"} if self.clock else set()) | ({"time"} if time is self else set())
+        return LogMapping(
+            sources={**rest(other.sources), **self.sources},
+            preferred={**rest(other.preferred), **self.preferred},
+            changed={**rest(other.changed), **self.changed},
+            unused=self.unused | (other.unused - mine),
+            optional=self.optional | (other.optional - stated),
+            clock=self.clock or other.clock,
+            time_field=time.time_field,
+            time_unit=time.time_unit,
+            time_scale=time.time_scale,
+            time_offset=time.time_offset,
+            where=self.where or other.where,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The tables of its file, as plain values."""
+        out: dict[str, Any] = {} if self.clock is None else {"clock": self.clock}
+        time = {"field": self.time_field, "unit": self.time_unit, "scale": self.time_scale, "offset": self.time_offset}
+        if time := {k: v for k, v in time.items() if v not in (None, _DEFAULTS.get(k))}:
+            out["time"] = time
+        for group in GROUPS:
+            if group in self.unused:
+                out[group] = {"use": False}
+            elif group in self.sources:
+                out[group] = _entry(self.sources[group])
+            elif group in self.groups:
+                stream = {"stream": self.preferred[group]} if group in self.preferred else {}
+                out[group] = {**stream, **self.changed.get(group, {})}
+        return out
+
+
+_DEFAULTS: Mapping[str, Any] = {
+    "stream": TABLE, "unit": "", "frame": "", "scale": 1.0, "offset": 0.0, "delay": 0.0, "limits": None, "causal": True,
+}  # fmt: skip
+
+
+def _entry(source: Source) -> dict[str, Any]:
+    """The table of a group, without what goes without saying."""
+    said: dict[str, Any] = {"fields": source.fields, "stream": source.stream, "unit": source.unit}
+    said |= {"frame": source.frame, "scale": source.scale, "offset": source.offset, "delay": source.delay}
+    said |= {"limits": source.limits, "causal": source.causal}
+    kept = {k: v for k, v in said.items() if k == "fields" or v != _DEFAULTS[k]}
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in kept.items()}
+
+
+def mapping_text(content: Mapping[str, Any], *, prefix: str = "", comments: Mapping[str, str] | None = None) -> str:
+    """`LogMapping.to_dict` as TOML, tables called `prefix` + group, a comment behind the last line of a group."""
+    lines = [f"{k} = {_toml(v)}" for k, v in content.items() if not isinstance(v, Mapping)]
+    for name, table in content.items():
+        if isinstance(table, Mapping):
+            lines += [f"[{prefix}{name}]", *(f"{k} = {_toml(v)}" for k, v in table.items())]
+            lines[-1] += f"  # {said}" if (said := (comments or {}).get(name)) else ""
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    """A value of TOML, whose strings have no surrogates and no bare DEL."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e15 else repr(value)
 
 
 def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
@@ -63,56 +163,79 @@ def read_mapping(path: str | os.PathLike[str]) -> LogMapping:
         raise DataError(
             "wrong schema", where=where, expected=SCHEMA, got=repr(content.get("schema")), fix=f'schema = "{SCHEMA}"'
         )
-    allowed = ("schema", "clock", "time", *GROUPS)
+    return mapping_of({k: v for k, v in content.items() if k != "schema"}, where=where)
+
+
+def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> LogMapping:
+    """The mapping that the tables of a file say; `path` is the dotted key of the table that holds them.
+
+    Raises `DataError` and `UnknownNameError`, which name the file and the key.
+    """
+    allowed = ("clock", "time", *GROUPS)
     for key in content:
         if key not in allowed:
-            raise UnknownNameError("key", key, allowed, where=where)
-    time = _table(content, "time", ("field", "unit"), where)
-    unit = _text(time, "unit", f"{where}: time", None)
+            raise UnknownNameError("key", key, allowed, where=f"{where}: {path}" if path else where)
+    dot = f"{path}." if path else ""
+    time = _table(content, "time", _TIME_KEYS, where, dot)
+    place = f"{where}: {dot}time"
+    unit = _text(time, "unit", place, None)
     if unit is not None and unit not in TIME_UNITS:
-        raise UnknownNameError("unit", unit, TIME_UNITS, where=f"{where}: time.unit")
-    sources: dict[str, Source] = {}
-    preferred: dict[str, str] = {}
-    changed: dict[str, dict[str, Any]] = {}
-    unused = set()
-    for group in GROUPS:
-        if group not in content:
-            continue
-        table = _table(content, group, _KEYS, where)
-        place = f"{where}: {group}"
-        if not _boolean(table, "use", place, True):
-            unused.add(group)
-        elif "fields" in table:
-            sources[group] = _source(group, table, place)
-        elif table and set(table) <= {"stream", "use", "delay", "causal"}:
-            if "stream" in table:
-                preferred[group] = str(_text(table, "stream", place, None))
-            if "delay" in table:
-                changed.setdefault(group, {})["delay"] = _number(table["delay"], f"{place}.delay")
-            if "causal" in table:
-                changed.setdefault(group, {})["causal"] = _boolean(table, "causal", place, True)
-        else:
-            raise DataError("no fields", where=place, expected="the fields in the order of the channels",
-                            fix=f"fields = [...]  # {', '.join(group_names(group))}")  # fmt: skip
-    return LogMapping(
-        sources=sources,
-        preferred=preferred,
-        changed=changed,
-        unused=frozenset(unused),
+        raise UnknownNameError("unit", unit, TIME_UNITS, where=f"{place}.unit")
+    said = LogMapping(
         clock=_text(content, "clock", where, None),
-        time_field=_text(time, "field", f"{where}: time", None),
+        time_field=_text(time, "field", place, None),
         time_unit=unit,
+        time_scale=_factor(_number(time.get("scale", 1.0), f"{place}.scale"), f"{place}.scale"),
+        time_offset=_number(time.get("offset", 0.0), f"{place}.offset"),
         where=where,
     )
+    for group in GROUPS:
+        if group in content:
+            said = _with_group(said, group, _table(content, group, _KEYS, where, dot), f"{where}: {dot}{group}")
+    _no_field_twice(said, where)
+    return said
+
+
+def _with_group(said: LogMapping, group: str, table: Mapping[str, Any], place: str) -> LogMapping:
+    """The mapping with what the table of one more group says."""
+    if not _boolean(table, "use", place, True):
+        return replace(said, unused=said.unused | {group})
+    if "fields" in table:
+        return replace(said, sources={**said.sources, group: _source(group, table, place)})
+    if not table or not set(table) <= {"stream", "use", "delay", "causal"}:
+        raise DataError("no fields", where=place, expected="the fields in the order of the channels",
+                        fix=f"fields = [...]  # {', '.join(group_names(group))}")  # fmt: skip
+    changed: dict[str, Any] = {}
+    if "delay" in table:
+        changed["delay"] = _number(table["delay"], f"{place}.delay")
+    if "causal" in table:
+        changed["causal"] = _boolean(table, "causal", place, True)
+    if changed:
+        said = replace(said, changed={**said.changed, group: changed})
+    if "stream" in table:
+        said = replace(said, preferred={**said.preferred, group: str(_text(table, "stream", place, None))})
+    return said
+
+
+def _no_field_twice(said: LogMapping, where: str) -> None:
+    taken: dict[tuple[str, str], str] = {(TABLE, said.time_field): "time"} if said.time_field else {}
+    for group, source in said.sources.items():
+        for name in source.fields:
+            key = (source.stream, name.lstrip("-"))
+            if name and key in taken:
+                raise DataError(f"column '{key[1]}' is given to two channels", where=f"{where}: {group}",
+                                fix=f"name another column; it stands in {taken[key]} too")  # fmt: skip
+            taken[key] = group
 
 
 def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
     fields = table["fields"]
-    if not (isinstance(fields, list) and fields and all(isinstance(f, str) and f.strip("-") for f in fields)):
+    named = isinstance(fields, list) and all(isinstance(f, str) and (not f or f.strip("-")) for f in fields)
+    if not named or not any(fields):
         raise DataError("fields", where=where, expected="a list of names in quotes", got=repr(fields)[:60])
     angles = group == "attitude" and len(fields) == 3
     count = len(group_names(group))
-    if group in ("command", "rotor_speed"):
+    if group in _PER_ROTOR:
         if len(fields) > 99:
             raise DataError(f"{len(fields)} fields", where=where, expected="one per rotor")
     elif len(fields) != count and not angles:
@@ -127,34 +250,58 @@ def _source(group: str, table: Mapping[str, Any], where: str) -> Source:
     frame = _text(table, "frame", where, "")
     if frame and frame not in FRAMES.get(group, ()):
         raise UnknownNameError("frame", frame, FRAMES.get(group, ()), where=f"{where}.frame")
-    limits = table.get("limits")
-    if limits is not None:
-        if group != "command" or not (isinstance(limits, list) and len(limits) == 2):
-            raise DataError("limits", where=where, expected="[low, high] of a command", got=repr(limits)[:60])
-        limits = (_number(limits[0], f"{where}.limits"), _number(limits[1], f"{where}.limits"))
-        if not limits[1] > limits[0]:
-            raise DataError("limits", where=where, expected="low < high", got=f"{limits[0]:g}, {limits[1]:g}")
     return Source(
         group=group,
         stream=str(_text(table, "stream", where, TABLE)),
         fields=tuple(fields),
         unit=str(unit),
         frame=str(frame),
-        scale=_number(table.get("scale", 1.0), f"{where}.scale"),
+        scale=_each(table, "scale", 1.0, len(fields), where, _factor),
+        offset=_each(table, "offset", 0.0, len(fields), where, lambda value, place: value),
         delay=_number(table.get("delay", 0.0), f"{where}.delay"),
-        limits=limits,
+        limits=_limits(group, table, where),
         causal=_boolean(table, "causal", where, True),
         note=f"as {os.path.basename(where.partition(': ')[0])} says",
     )
 
 
-def _table(content: Mapping[str, Any], key: str, known: tuple[str, ...], where: str) -> dict[str, Any]:
+def _limits(group: str, table: Mapping[str, Any], where: str) -> tuple[float, float] | None:
+    limits = table.get("limits")
+    if limits is None:
+        return None
+    if group != "command" or not (isinstance(limits, list) and len(limits) == 2):
+        raise DataError("limits", where=where, expected="[low, high] of a command", got=repr(limits)[:60])
+    low, high = (_number(v, f"{where}.limits") for v in limits)
+    if not high > low:
+        raise DataError("limits", where=where, expected="low < high", got=f"{low:g}, {high:g}")
+    return low, high
+
+
+def _each(
+    table: Mapping[str, Any], key: str, default: float, count: int, where: str, checked: Callable[[float, str], float]
+) -> float | tuple[float, ...]:
+    """A number for all fields, or a list with one for each."""
+    value, place = table.get(key, default), f"{where}.{key}"
+    if not isinstance(value, list):
+        return checked(_number(value, place), place)
+    if len(value) != count:
+        raise DataError(f"{len(value)} numbers", where=place, expected=f"one, or one for each of {count} fields")
+    return tuple(checked(_number(v, place), place) for v in value)
+
+
+def _factor(value: float, where: str) -> float:
+    if value == 0.0:
+        raise DataError("must not be zero", where=where, fix="give the factor from the log's unit to SI")
+    return value
+
+
+def _table(content: Mapping[str, Any], key: str, known: tuple[str, ...], where: str, dot: str) -> Mapping[str, Any]:
     table = content.get(key, {})
-    if not isinstance(table, dict):
-        raise DataError(f"'{key}' is not a table", where=where, fix=f"write [{key}]")
+    if not isinstance(table, Mapping):
+        raise DataError(f"'{dot}{key}' is not a table", where=where, fix=f"write [{dot}{key}]")
     for name in table:
         if name not in known:
-            raise UnknownNameError("key", name, known, where=f"{where}: {key}")
+            raise UnknownNameError("key", name, known, where=f"{where}: {dot}{key}")
     return table
 
 

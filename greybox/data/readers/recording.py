@@ -59,8 +59,9 @@ class Stream:
 class Source:
     """Which fields of a stream are the channels of a `group`, in the order of the group's channels.
 
-    A field may carry a minus sign. `unit` is one of `UNITS[group]` and `frame` one of `FRAMES[group]` ("" = ours);
-    `scale` multiplies after the unit. `limits` (low, high) maps commands to 0..1. The value belongs to its stamp minus
+    A field may carry a minus sign; "" stands for one that is not there. `unit` is one of `UNITS[group]` and `frame` one
+    of `FRAMES[group]` ("" = ours); `scale` multiplies after the unit, then `offset` is added, both of all fields or one
+    for each. `limits` (low, high) maps commands to 0..1. The value belongs to its stamp minus
     `delay` [s]. `convert` (N, K) -> (N, K) comes first of all. `causal=False`: smoothed with later samples.
     """
 
@@ -69,12 +70,13 @@ class Source:
     fields: tuple[str, ...]
     unit: str = ""
     frame: str = ""
-    scale: float = 1.0
+    scale: float | tuple[float, ...] = 1.0
+    offset: float | tuple[float, ...] = 0.0
     delay: float = 0.0
     limits: tuple[float, float] | None = None
     causal: bool = True
     convert: Callable[[FloatArray], FloatArray] | None = None
-    note: str = ""
+    note: str = field(default="", compare=False)
 
 
 UNITS: Mapping[str, Mapping[str, float]] = {

@@ -30,6 +30,9 @@ from greybox.errors import DataError
 
 _MAGIC = b"ULog\x01\x12\x35"
 
+OURS = "greybox"
+"""`sys_name` of what `greybox validate --ulog` writes, whose estimates are predictions of a model."""
+
 WIDEST_FORMAT = 20_000
 """Fields of one message, arrays and nested types unfolded, above which a file is refused."""
 
@@ -50,6 +53,9 @@ def read_ulog(path: Path) -> Recording:
         info = _info(log)
         dropouts = tuple((d.timestamp * 1e-6, d.duration * 1e-3) for d in log.dropouts)
         notes = ["parts of the file are damaged and were passed over"] if log.file_corruption else []
+    if log.msg_info_dict.get("sys_name") == OURS:
+        raise DataError("predictions of a model, written for Flight Review, not a flight", where=where,
+                        fix="give the log that it was made of")  # fmt: skip
     if not streams:
         raise DataError("a ULog file without samples", where=where, fix="copy the log again")
     for name in sorted({k for _, k, _ in log.changed_parameters}):

@@ -1,0 +1,171 @@
+"""`[columns.rate]` of a vehicle file and `[rate]` of a mapping file mean the same, and the older form is read still."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greybox.cli import main
+from greybox.data.logs import read_table
+from greybox.data.readers.mapping import LogMapping, mapping_of, mapping_text, read_mapping
+from greybox.errors import OldFormWarning, UnknownNameError
+from greybox.examples import flight_path, vehicle_path
+from greybox.model.vehicle import Vehicle, read_vehicle
+from tests.data.readers import writers as w
+
+OLD = """[columns]
+t = { name = "time_ms", scale = 1e-3 }
+p = { name = "gyr_x", scale = 0.017453292519943295 }
+q = { name = "gyr_y", scale = -0.017453292519943295 }
+r = { name = "gyr_z", scale = -0.017453292519943295 }
+u1 = { name = "pwm1", scale = 1e-3, offset = -1.0 }
+u2 = { name = "pwm2", scale = 1e-3, offset = -1.0 }
+u3 = { name = "pwm3", scale = 1e-3, offset = -1.0 }
+u4 = { name = "pwm4", scale = 1e-3, offset = -1.0 }
+vx = { name = "vicon_vx", causal = false }
+"""
+
+
+def vehicle_file(path: Path, columns: str) -> Path:
+    path.write_text(Path(vehicle_path("nanobench")).read_text().split("[columns.")[0] + columns)
+    return path
+
+
+def prefixed(mapping: str) -> str:
+    return mapping.partition("\n")[2].replace("[", "[columns.", 1).replace("\n[", "\n[columns.")
+
+
+def test_the_same_tables_in_either_file_give_the_same_channels(tmp_path: Path) -> None:
+    log = w.write_csv(tmp_path / "own.csv", w.own_columns(w.channels(rows=300)))
+    (tmp_path / "map.toml").write_text(w.OWN_MAPPING)
+    vehicle = read_vehicle(vehicle_file(tmp_path / "v.toml", prefixed(w.OWN_MAPPING)))
+    inside = read_table(log, vehicle)
+    beside = read_table(log, replace(vehicle, columns=LogMapping()), mapping=tmp_path / "map.toml")
+    assert set(inside.channels) == set(beside.channels) >= {"u1", "p", "ax", "qw", "x"}
+    for name, values in inside.channels.items():
+        np.testing.assert_array_equal(values, beside.channels[name], err_msg=name)
+
+
+def test_a_mapping_comes_before_the_vehicle_file_and_leaves_it_the_rest(tmp_path: Path) -> None:
+    vehicle = read_vehicle(vehicle_path("nanobench"))
+    log = flight_path("nanobench", "B2_circle_fast_rep1")
+    (tmp_path / "map.toml").write_text(
+        'schema = "greybox.mapping/1"\n[rate]\nfields = ["imu_gyro_x", "-imu_gyro_y", "imu_gyro_z"]\n'
+    )
+    plain, turned = read_table(log, vehicle), read_table(log, vehicle, mapping=tmp_path / "map.toml")
+    np.testing.assert_array_equal(turned.channels["q"], -plain.channels["q"])
+    for name in ("p", "u1", "az", "vx"):
+        np.testing.assert_array_equal(turned.channels[name], plain.channels[name], err_msg=name)
+    assert turned.noncausal == {"vx", "vy", "vz"}
+
+
+def test_a_vehicle_file_names_streams_of_bags_and_what_a_log_lacks_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    bag = w.write_ros(tmp_path / "bag", w.channels(rows=200), kind="mcap")
+    vehicle = read_vehicle(
+        vehicle_file(tmp_path / "v.toml", prefixed(w.ROS_MAPPING) + '[columns.position]\nstream = "/vicon"\n')
+    )
+    raw = read_table(bag, vehicle)
+    assert {"u1", "u4", "x"} <= set(raw.channels)
+    assert "the log has no stream /vicon for the position" in raw.notes
+
+
+def test_a_log_in_our_names_is_read_with_the_vehicle_file_of_another_table(tmp_path: Path) -> None:
+    """What `greybox inspect --out` wrote goes on with the vehicle file that the log came with."""
+    c = w.channels(rows=200)
+    raw = read_table(w.write_csv(tmp_path / "f.csv", c), read_vehicle(vehicle_path("nanobench")))
+    np.testing.assert_array_equal(raw.channels["u1"], c["u1"])
+    assert any("the log has no motor_motor_m1" in n for n in raw.notes)
+    lost = {k: v for k, v in c.items() if k != "u3"} | {"motor_motor_m1": c["u3"]}
+    with pytest.raises(UnknownNameError, match="motor_motor_m2"):
+        read_table(w.write_csv(tmp_path / "g.csv", lost), read_vehicle(vehicle_path("nanobench")))
+
+
+def test_rows_keep_their_numbers_their_stamps_and_their_other_columns(tmp_path: Path) -> None:
+    c = w.own_columns(w.channels(rows=20)) | {"note": np.arange(20.0)}
+    (tmp_path / "map.toml").write_text(w.OWN_MAPPING)
+    raw = read_table(w.write_csv(tmp_path / "own.csv", c), mapping=tmp_path / "map.toml")
+    np.testing.assert_array_equal(raw.extra["note"], c["note"])
+    np.testing.assert_array_equal(raw.t, c["time_ms"] * 1e-3)
+    assert raw.rows[0] == 2
+    for cell, said in (("fast", "row 7, column 'gyr_y'"), ("inf", r"row 7, column 'gyr_y' \(q\)")):
+        lines = (tmp_path / "own.csv").read_text().splitlines()
+        cells = lines[6].split(",")
+        cells[lines[0].split(",").index("gyr_y")] = cell
+        (tmp_path / "bad.csv").write_text("\n".join([*lines[:6], ",".join(cells), *lines[7:]]) + "\n")
+        with pytest.raises(ValueError, match=said):
+            read_table(tmp_path / "bad.csv", mapping=tmp_path / "map.toml")
+
+
+def test_the_form_by_channel_is_read_says_so_once_and_is_printed_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = vehicle_file(tmp_path / "v.toml", OLD)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")  # as in the interpreter of a user
+        assert main(["vehicle", "check", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert err.count("\n") == 1
+    assert "goes with 0.2.0" in err
+    new = out[out.index("[columns.") : out.index("\n\n")]
+    with pytest.warns(OldFormWarning, match="greybox vehicle check"):
+        old = read_vehicle(path)
+    again = read_vehicle(vehicle_file(tmp_path / "n.toml", new))
+    assert again.columns == old.columns
+    log = w.write_csv(tmp_path / "own.csv", w.own_columns(w.channels(rows=200)))
+    by_mapping = tmp_path / "map.toml"
+    by_mapping.write_text(w.OWN_MAPPING)
+    raw, meant = read_table(log, old), read_table(log, mapping=by_mapping)
+    for name in ("u1", "u4", "p", "q", "r"):
+        np.testing.assert_allclose(raw.channels[name], meant.channels[name], rtol=1e-12, atol=1e-12)
+
+
+def test_what_older_model_files_hold_is_read_without_a_word() -> None:
+    old = tomllib.loads(OLD)["columns"]
+    plain = read_vehicle(vehicle_path("nanobench")).to_dict()
+    vehicle = Vehicle.from_dict({**plain, "columns": old})
+    assert vehicle.columns.sources["rate"].fields == ("gyr_x", "-gyr_y", "-gyr_z")
+    assert Vehicle.from_dict(json.loads(json.dumps(vehicle.to_dict()))) == vehicle
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    said = mapping_of(
+        {
+            "clock": "/imu",
+            "time": {"field": 'a "b"\x7f', "unit": "us", "scale": 2.0, "offset": 0.5},
+            "rate": {"fields": ["x", "-y", ""], "stream": "/imu", "unit": "deg/s", "frame": "FRD", "delay": 0.01},
+            "command": {"fields": ["a", "b"], "limits": [1000, 2000], "scale": [1.0, 2.0], "offset": [0.0, 1e-9]},
+            "position": {"stream": "/mocap", "causal": False},
+            "battery": {"use": False},
+        },
+        where="here",
+    )  # fmt: skip
+    path = tmp_path / "map.toml"
+    path.write_text(mapping_text({"schema": "greybox.mapping/1", **said.to_dict()}))
+    assert read_mapping(path) == said
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"rate": {"fields": ["a", "b"]}}, "columns.rate: 2 fields"),
+        ({"rat": {}}, "unknown key 'rat'"),
+        ({"p": "x", "rate": {"fields": ["a", "b", "c"]}}, "unknown channel 'rate'"),
+        ({"command": {"fields": ["a", "b", "c", "d", "e"]}}, "columns.command.fields: the vehicle has 4 rotors"),
+        ({"u5": "x"}, "columns.u5: the vehicle has 4 rotors"),
+        ({"rate": {"fields": ["a", "b", "c"], "scale": [1.0, 2.0]}}, "2 numbers; expected one, or one for each of 3"),
+        ({"rate": {"fields": ["a", "b", "c"], "scale": 0.0}}, "columns.rate.scale: must not be zero"),
+        ({"rate": {"fields": ["", "", ""]}}, "columns.rate: fields; expected a list of names"),
+    ],
+)
+def test_a_wrong_table_is_one_line_that_names_the_key(columns: dict[str, object], said: str) -> None:
+    plain = read_vehicle(vehicle_path("nanobench")).to_dict()
+    with pytest.raises((ValueError, KeyError)) as error:
+        Vehicle.from_dict({**plain, "columns": columns})
+    assert said in str(error.value)
