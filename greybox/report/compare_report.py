@@ -57,8 +57,10 @@ def format_table(content: Mapping[str, Any]) -> str:
         cells = "".join(f"{format(m['mean'][key], form):>15}" for key, _, form in COLUMNS)
         cost = f"{m['train_seconds']:>11.1f}{m['microseconds_per_sample']:>11.1f}{m['parameters']:>12d}"
         lines.append(f"{m['method']:{width}}{cells}{cost}")
+    dt = content["sample_time"]
+    seconds = "".join(f"{f'{dt * h:.3g} s':>10}" for h in content["horizons"])
     for g, unit, rows in _ahead(content):
-        lines += ["", f"{g} [{unit}], mean absolute error" + "".join(f"{f'h={h}':>10}" for h in content["horizons"])]
+        lines += ["", f"{g} [{unit}], mean absolute error{seconds}"]
         lines += [
             f"  {name:{width + 26}}"[: width + 28] + "".join(f"{'-' if v is None else f'{v:.4f}':>10}" for v in cells)
             for name, cells in rows

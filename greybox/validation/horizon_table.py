@@ -187,10 +187,8 @@ def format_tables(tables: Sequence[HorizonTable], horizons: Sequence[int] | None
     lines = []
     for g in tables[0].groups:
         head = "".join(f"{f'{h * tables[0].sample_time:.3g} s':>10}" for h in wanted)
-        steps = "".join(f"{f'h={h}':>10}" for h in wanted)
         lines.append(f"{g} [{tables[0].kinds[g].unit}], mean absolute error")
         lines.append(f"  {'':<{width}}{head}{'SimErr':>10}")
-        lines.append(f"  {'':<{width}}{steps}")
         for t in tables:
             if g not in t.groups:
                 continue

@@ -86,7 +86,7 @@ def test_the_page_and_the_table_name_every_method(results):
     ElementTree.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
     assert page.count("PIT histogram of") >= 2
     assert page.count("histogram of the errors of") >= 2
-    assert "h=50" in text
+    assert "0.5 s" in text
 
 
 def test_means_are_over_standardised_channels():
