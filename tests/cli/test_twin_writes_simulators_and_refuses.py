@@ -90,6 +90,7 @@ def test_a_model_that_is_not_usable_is_refused(
         (["--target", "rotorpy,rotorpy"], "target rotorpy twice"),
         (["--target", ","], "names none"),
         (["--target", "rotorpy", "--check", "a.csv"], "--check without draws"),
+        (["--target", "rotorpy", "--train", "a.csv"], "--train without draws"),
     ],
 )
 def test_options_that_cannot_be_are_refused_in_one_line(
