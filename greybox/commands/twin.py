@@ -20,6 +20,7 @@ NAMES = (
     "ardupilot",
     "isaac",
     "jsbsim",
+    "flightgoggles",
 )
 
 

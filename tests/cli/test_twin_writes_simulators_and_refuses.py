@@ -141,7 +141,7 @@ def test_a_forced_twin_leaves_no_files_of_the_old_one(tmp_path: Path) -> None:
     assert mine.read_text() == "mine"
 
 
-@pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet"])
+@pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet", "flightgoggles"])
 def test_a_layout_that_a_target_cannot_express_is_refused_by_name_and_noted_otherwise(
     target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
