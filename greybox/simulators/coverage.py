@@ -33,6 +33,8 @@ IntArray = npt.NDArray[np.int64]
 HORIZONS = (0.1, 0.5, 1.0)
 """Seconds ahead."""
 LEVEL, BOX = 0.95, 0.3
+FEWEST_DRAWS = 20
+"""Below this number of craft, the outermost ones are no band of 95 %."""
 SPACING, START = 2.0, 5.0
 """Seconds between the instants from which simulations start, and before the first of them."""
 _Sums = dict[tuple[str, float], list[FloatArray]]
@@ -94,7 +96,7 @@ def coverage(
     model: IdentifiedModel, draws: Draws, flights: Dataset, *, seed: int = 0
 ) -> tuple[Covered, ...]:
     """Coverage of `draws` on flights that no fit saw. Raises `DataError` where the flights are too
-    short, or the model does not carry position, velocity, attitude and rate."""
+    short, draws too few, or the model does not carry position, velocity, attitude and rate."""
     module = module_of(model, draws)
     nominal = np.asarray(module["VALUES"])
     box = _box(draws, seed, nominal)
@@ -133,8 +135,15 @@ def adapted_draws(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatA
 
 
 def module_of(model: IdentifiedModel, draws: Draws) -> dict[str, Any]:
-    """The written module, loaded. Raises `DataError` where the model does not carry position,
-    velocity, attitude and rate."""
+    """The written module, loaded. Raises `DataError` for too few draws, and where the model does not
+    carry position, velocity, attitude and rate."""
+    if len(draws) < FEWEST_DRAWS:
+        raise DataError(
+            "too few draws for bands",
+            expected=f"{FEWEST_DRAWS} or more",
+            got=str(len(draws)),
+            fix="add --draws 200",
+        )
     space: dict[str, Any] = {"__name__": "simulate"}
     exec(compile(NumPyModule().files(draws.craft)["simulate.py"], "simulate.py", "exec"), space)
     states = tuple(model.dynamics.states.names)

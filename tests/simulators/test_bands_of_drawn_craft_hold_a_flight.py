@@ -82,4 +82,11 @@ def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage_module, "START", 9.5)
     m = model()
     with pytest.raises(DataError, match="long enough"):
-        coverage(m, draw(m, 3), simulated.flights(1, 10.0))
+        coverage(m, draw(m, 20), simulated.flights(1, 10.0))
+
+
+def test_too_few_draws_are_refused_and_not_divided_by() -> None:
+    m = model()
+    for few in (1, 19):
+        with pytest.raises(DataError, match=f"too few draws for bands; expected 20 or more; got {few}"):
+            coverage(m, draw(m, few), simulated.flights(1, 10.0))

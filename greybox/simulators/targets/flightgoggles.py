@@ -24,6 +24,7 @@ from greybox.simulators.laws import (
     typical_speed,
 )
 from greybox.simulators.layout import SYMMETRY, order_in
+from greybox.simulators.targets.rotorpy import GRAVITY
 from greybox.simulators.words import Word, Wording, fixed_gravity, quadratic_maps, symmetric_arms
 from greybox.simulators.yaml_text import yaml_number
 from greybox.symbolic import FloatArray
@@ -31,7 +32,6 @@ from greybox.symbolic import FloatArray
 PLACES = ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (1, -1, -1))
 """Rotors of FlightGoggles: sign of x and y, spin; all spins the other way round are a negative
 torque_coefficient."""
-GRAVITY = 9.81
 SHORTEST_LAG = 1e-3
 """[s]; FlightGoggles divides by the lag."""
 _YAML = """# {name} for FlightGoggles, written by greybox twin: rosparam load FILE /uav
