@@ -20,6 +20,7 @@ NAMES = (
     "ardupilot",
     "isaac",
     "jsbsim",
+    "flightgoggles",
 )
 
 
@@ -61,6 +62,15 @@ def add(commands: Any) -> None:
         help="also N craft as uncertain as the fit left them, as arrays and as a TOML of ranges",
     )
     p.add_argument("--seed", type=int, default=0, help="of the draws (default %(default)s)")
+    p.add_argument(
+        "--train",
+        nargs="+",
+        default=[],
+        metavar="LOG",
+        help="the flights of the fit: how strongly what is unexplained pushes a craft about, and "
+        "how far flights differ in it, is counted on them (needs --draws); without it the draws "
+        "have the filter's levels, which are those of one step ahead",
+    )
     p.add_argument(
         "--check",
         nargs="+",
@@ -109,9 +119,14 @@ def run(arguments: argparse.Namespace) -> int:
     model = _model(arguments.model, arguments.effects_file, even_so=arguments.even_so)
     if model is None:
         return 1
-    if arguments.check and not arguments.draws:
-        raise DataError("--check without draws", fix="add --draws 200")
-    flights = _flights(model, arguments.check) if arguments.check else None
+    for option, logs in (("--check", arguments.check), ("--train", arguments.train)):
+        if logs and not arguments.draws:
+            raise DataError(f"{option} without draws", fix="add --draws 200")
+    train = _flights(model, arguments.train, ()) if arguments.train else None
+    known = () if train is None else train.names
+    flights = None
+    if arguments.check:
+        flights = _flights(model, arguments.check, (*model.trained_on, *known))
     made = twin(
         model,
         names,
@@ -119,6 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
         force=arguments.force,
         draws=arguments.draws,
         seed=arguments.seed,
+        train=train,
         check=flights,
     )
     if arguments.json == "-":
@@ -158,13 +174,13 @@ def _model(path: str, effects_files: list[str], *, even_so: bool) -> Any:
     return model if judged.open else None
 
 
-def _flights(model: Any, logs: list[str]) -> Any:
-    """Logs of the model's vehicle at its rate."""
+def _flights(model: Any, logs: list[str], known: tuple[str, ...]) -> Any:
+    """Logs of the model's vehicle at its rate, of flights that are not `known`."""
     from greybox.data.logs import read_logs
     from greybox.errors import DataError
 
     flights = read_logs(logs, model.physics.vehicle, rate=1.0 / model.sample_time)
-    if seen := sorted(set(flights.names) & set(model.trained_on)):
+    if seen := sorted(set(flights.names) & set(known)):
         raise DataError(
             f"{', '.join(seen)} took part in the fit",
             expected="--check flights that no fit saw",

@@ -33,10 +33,12 @@ ROUNDING = 100 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Considered:
-    """`spread` (n, n): what stated errors add to the covariance of the unknowns. `told`: name ->
+    """`spread` (n, n): what stated errors add to the covariance of the unknowns. `moves`: name ->
+    (stated error, how far every unknown moves (n,) per unit of this parameter). `told`: name ->
     (standard error that the flights alone give, stated error), of those where it is smaller."""
 
     spread: FloatArray | None = None
+    moves: Mapping[str, tuple[float, FloatArray]] = field(default_factory=dict)
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -79,6 +81,11 @@ def considered(problem: Problem, data: Dataset, options: FitOptions, theta: Floa
     error = by_flights_alone(value.data_hessian, mine[loose], others, sigma)
     return Considered(
         spread=(moves * sigma**2) @ moves.T,
+        moves={
+            wide.unknowns[i].name: (float(s), column)
+            for i, s, column in zip(others, sigma, moves.T, strict=True)
+            if wide.unknowns[i].flight is None
+        },
         told={
             wide.unknowns[i].name: (float(e), float(s))
             for i, e, s in zip(others, error, sigma, strict=True)

@@ -284,6 +284,11 @@ def _finish(
     n_samples = int(sum(r.n for r in problem.records))
     free = [i for i, u in enumerate(problem.unknowns) if u.kind != "initial"]
     model = _identified(problem, data, theta, estimates, names, cov, whitened)
+    moved = {
+        n: (sigma, dict(zip(names, moves[shared].tolist(), strict=True)))
+        for n, (sigma, moves) in considered.moves.items()
+    }
+    model = replace(model, considered=moved)
     return Fit(
         estimates=Estimates(
             model=model,

@@ -64,6 +64,8 @@ class IdentifiedModel(Shown):
     `values` holds every model parameter (per-flight ones at their mean over the training flights),
     `per_flight` the values of each training flight, `flight_spread` name -> (mean, standard
     deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
+    `considered`: of parameters that were held although they are not exact, name -> (standard error,
+    how far each of the shared estimates moves per unit); `covariance` includes what that does.
     `process_noise` (n_w) and `sensor_noise` (n_e) are standard deviations per sample of
     `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
@@ -76,6 +78,7 @@ class IdentifiedModel(Shown):
     values: ParameterValues
     covariance_names: tuple[str, ...] = ()
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    considered: Mapping[str, tuple[float, Mapping[str, float]]] = field(default_factory=dict)
     per_flight: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     flight_spread: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     process_noise: FloatArray
@@ -164,6 +167,17 @@ class IdentifiedModel(Shown):
         physics = physics_of(self.dynamics)
         return self.dynamics.innovations.names if physics is None else physics.channel_groups
 
+    @property
+    def joint_covariance(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Names and covariance (k, k) of the shared parameters and of those that were held although
+        they are not exact. Only together do they keep what the flights know well, as the ratio of
+        thrust to a mass that was held."""
+        names, held = self.covariance_names, self.considered
+        moves = np.array([[by.get(n, 0.0) for _, by in held.values()] for n in names])
+        square = np.diag([sigma**2 for sigma, _ in held.values()])
+        cross = moves.reshape(len(names), len(held)) @ square
+        return (*names, *held), np.block([[self.covariance, cross], [cross.T, square]])
+
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
         values = self.values.replace(dict(changes or {}))
@@ -203,6 +217,7 @@ class IdentifiedModel(Shown):
                 "names": list(self.covariance_names),
                 "matrix": self.covariance.tolist(),
             },
+            **({"considered": _considered_to_dict(self)} if self.considered else {}),
             **(
                 {}
                 if self.effective_lag is None
@@ -296,6 +311,10 @@ class IdentifiedModel(Shown):
                 covariance=np.asarray(data["covariance"]["matrix"], dtype=float).reshape(
                     (len(data["covariance"]["names"]),) * 2
                 ),
+                considered={
+                    n: (float(v["std"]), {k: float(x) for k, x in v["moves"].items()})
+                    for n, v in data.get("considered", {}).items()
+                },
                 per_flight={
                     k: {n: float(x) for n, x in v.items()} for k, v in data["per_flight"].items()
                 },
@@ -341,6 +360,10 @@ class IdentifiedModel(Shown):
 def _demand_sample(data: Mapping[str, Any], key: str) -> None:
     if not SHORTEST_SAMPLE <= float(data[key]) < np.inf:
         raise ValueError(f"{key} is {float(data[key]):g} s")
+
+
+def _considered_to_dict(model: IdentifiedModel) -> dict[str, Any]:
+    return {n: {"std": s, "moves": dict(by)} for n, (s, by) in model.considered.items()}
 
 
 def _core_to_dict(core: PhysicsModel | StateSpaceModel) -> dict[str, Any]:
@@ -412,6 +435,7 @@ def _check(model: IdentifiedModel) -> None:
         raise ValueError("a noise level is negative")
     names = [
         *model.covariance_names,
+        *model.considered,
         *model.flight_spread,
         *(n for v in model.per_flight.values() for n in v),
     ]
@@ -419,5 +443,10 @@ def _check(model: IdentifiedModel) -> None:
         model.values[name]
     if len(set(model.covariance_names)) < len(model.covariance_names):
         raise ValueError("a name is twice in the covariance")
+    if doubled := set(model.considered) & set(model.covariance_names):
+        raise ValueError(f"{min(doubled)} is both held and estimated")
+    errors = [x for s, by in model.considered.values() for x in (s, *by.values())]
+    if not np.isfinite(errors).all():
+        raise ValueError("an error of a held parameter is not finite")
     if not all(isinstance(n, str) for n in (*model.trained_on, *model.covariance_names)):
         raise ValueError("a name is not a text")

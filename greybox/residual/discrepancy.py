@@ -83,8 +83,8 @@ def disturbed_model(model: IdentifiedModel, data: Dataset) -> IdentifiedModel:
         values=dict(model.values), noise=noise_of(model), estimate_noise="process", initialisation="nominal",
     ).model  # fmt: skip
     return replace(
-        result, covariance_names=model.covariance_names, covariance=model.covariance, source=model.source,
-        trained_on=model.trained_on, data_hash=model.data_hash,
+        result, covariance_names=model.covariance_names, covariance=model.covariance, considered=model.considered,
+        source=model.source, trained_on=model.trained_on, data_hash=model.data_hash,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ the middle of ours: no band is honest below it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,8 @@ IntArray = npt.NDArray[np.int64]
 HORIZONS = (0.1, 0.5, 1.0)
 """Seconds ahead."""
 LEVEL, BOX = 0.95, 0.3
+FEWEST_DRAWS = 20
+"""Below this number of craft, the outermost ones are no band of 95 %."""
 SPACING, START = 2.0, 5.0
 """Seconds between the instants from which simulations start, and before the first of them."""
 _Sums = dict[tuple[str, float], list[FloatArray]]
@@ -77,7 +79,9 @@ def format_table(rows: tuple[Covered, ...]) -> str:
         if not own:
             continue
         what = f"after its first {START:g} s" if adapted else "a new flight"
-        head = "   ahead   inside    of   width     needed          box inside  box width   box/band"
+        head = (
+            "   ahead   inside    of   width     needed          box inside  box width   box/band"
+        )
         lines.append(f"  {what:20}{head}")
         for r in own:
             lines.append(
@@ -92,28 +96,23 @@ def coverage(
     model: IdentifiedModel, draws: Draws, flights: Dataset, *, seed: int = 0
 ) -> tuple[Covered, ...]:
     """Coverage of `draws` on flights that no fit saw. Raises `DataError` where the flights are too
-    short, or the model does not carry position, velocity, attitude and rate."""
-    module = _module(draws)
-    states = tuple(model.dynamics.states.names)
-    if states != tuple(module["STATES"]):
-        raise DataError(
-            "the model does not carry the whole motion",
-            expected="states of position, velocity, attitude and rate",
-            got=", ".join(s for s in module["STATES"] if s not in states) + " missing",
-            fix="check on a model that was fitted with motion capture",
-        )
-    box = _box(draws, seed)
+    short, draws too few, or the model does not carry position, velocity, attitude and rate."""
+    module = module_of(model, draws)
+    nominal = np.asarray(module["VALUES"])
+    box = _box(draws, seed, nominal)
     new: _Sums = {}
     known: _Sums = {}
     for flight in flights:
-        found, adapted = _starts(model, flight)
-        own = _adapted(draws, adapted, seed)
-        for starts in found:
-            _simulate(model, module, draws.values, starts, seed, True, new, 0)
-            _simulate(model, module, box, starts, seed, False, new, 1)
-            if own is not None:
-                _simulate(model, module, own, starts, seed, True, known, 0)
-                _simulate(model, module, _box(draws, seed, own), starts, seed, False, known, 1)
+        found, adapted = starts(model, flight)
+        own = adapted_draws(draws, adapted, seed)
+        for start in found:
+            for values, sums in ((draws.values, new), (own, known)):
+                if values is None:
+                    continue
+                wide = box if sums is new else _box(draws, seed, values.mean(axis=0))
+                for which, craft, levels in ((0, values, draws.levels), (1, wide, None)):
+                    for seen in ahead(model, module, craft, levels, start, seed):
+                        _keep(sums, seen, which)
     if not new:
         raise DataError(
             "no flight is long enough to check",
@@ -122,8 +121,8 @@ def coverage(
     return _rows(new, False) + _rows(known, True)
 
 
-def _adapted(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatArray | None:
-    """The draws with the flight's own parameters as its first seconds left them."""
+def adapted_draws(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatArray | None:
+    """The draws (n, n_p) with the flight's own parameters as its first seconds left them."""
     if adapted is None:
         return None
     random = np.random.default_rng([seed, 3])
@@ -135,22 +134,37 @@ def _adapted(draws: Draws, adapted: Adaptation | None, seed: int) -> FloatArray 
     return np.asarray(values)
 
 
-def _module(draws: Draws) -> dict[str, Any]:
-    """The written module, loaded."""
+def module_of(model: IdentifiedModel, draws: Draws) -> dict[str, Any]:
+    """The written module, loaded. Raises `DataError` for too few draws, and where the model does not
+    carry position, velocity, attitude and rate."""
+    if len(draws) < FEWEST_DRAWS:
+        raise DataError(
+            "too few draws for bands",
+            expected=f"{FEWEST_DRAWS} or more",
+            got=str(len(draws)),
+            fix="add --draws 200",
+        )
     space: dict[str, Any] = {"__name__": "simulate"}
     exec(compile(NumPyModule().files(draws.craft)["simulate.py"], "simulate.py", "exec"), space)
+    states = tuple(model.dynamics.states.names)
+    if states != tuple(space["STATES"]):
+        raise DataError(
+            "the model does not carry the whole motion",
+            expected="states of position, velocity, attitude and rate",
+            got=", ".join(s for s in space["STATES"] if s not in states) + " missing",
+            fix="check on a model that was fitted with motion capture",
+        )
     return space
 
 
-def _box(draws: Draws, seed: int, about: FloatArray | None = None) -> FloatArray:
-    """As many craft from the customary box about the model, or about the mean of `about`: what the
-    body has, not what its sensors have."""
+def _box(draws: Draws, seed: int, about: FloatArray) -> FloatArray:
+    """As many craft from the customary box about values (n_p,): what the body has, not what its
+    sensors have."""
     random = np.random.default_rng([seed, 1])
     physics = draws.craft.physics
     sensors = {e.name for e in physics.effects if e.stage == "sensor"}
     own = set(draws.craft.values)
-    centre = [draws.craft.source.values[n] for n in draws.names]
-    values = np.tile(centre if about is None else about.mean(axis=0), (len(draws), 1))
+    values = np.tile(about, (len(draws), 1))
     for k, name in enumerate(draws.names):
         if name in own and name.split(".")[0] not in sensors:
             values[:, k] *= 1.0 + BOX * random.uniform(-1.0, 1.0, len(draws))
@@ -158,7 +172,7 @@ def _box(draws: Draws, seed: int, about: FloatArray | None = None) -> FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Start:
+class Start:
     """Instants of one segment: states (m, n_x), rows (m,) of the record, its covariance."""
 
     segment: Segment
@@ -167,7 +181,7 @@ class _Start:
     spread: FloatArray
 
 
-def _starts(model: IdentifiedModel, flight: Flight) -> tuple[list[_Start], Adaptation | None]:
+def starts(model: IdentifiedModel, flight: Flight) -> tuple[list[Start], Adaptation | None]:
     """Where simulations of a flight begin, and what its first seconds said of its own parameters:
     the filter has these, as for any new flight."""
     filter_ = Filter(model)
@@ -182,27 +196,43 @@ def _starts(model: IdentifiedModel, flight: Flight) -> tuple[list[_Start], Adapt
         last = run.record.n - round(max(HORIZONS) / dt) - 2
         rows = np.arange(round(START / dt), last, round(SPACING / dt))
         if len(rows):
-            out.append(
-                _Start(segment=segment, filtered=run, rows=rows, spread=run.state_covariance)
-            )
+            out.append(Start(segment=segment, filtered=run, rows=rows, spread=run.state_covariance))
     return out, adapted
 
 
-def _simulate(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seen:
+    """A sensor group `seconds` ahead: what drawn craft see (m, n, axes) and what was `real` (m,
+    axes); attitudes as Euler angles."""
+
+    group: str
+    seconds: float
+    craft: FloatArray
+    real: FloatArray
+
+    def about_the_middle(self) -> tuple[FloatArray, FloatArray]:
+        """Distances of the craft (m, n, axes) and of the real values (m, axes) from the median of
+        the craft; of angles, around it."""
+        middle = np.median(self.craft, axis=1)
+        off, away = self.craft - middle[:, None], self.real - middle
+        if self.group == "rotation":
+            off, away = (np.arctan2(np.sin(v), np.cos(v)) for v in (off, away))
+        return off, away
+
+
+def ahead(
     model: IdentifiedModel,
     module: Mapping[str, Any],
     values: FloatArray,
-    start: _Start,
+    levels: FloatArray | None,
+    start: Start,
     seed: int,
-    pushed: bool,
-    sums: _Sums,
-    which: int,
-) -> None:
-    """Fly all draws from all instants, and keep what lies inside and how wide it is."""
+) -> Iterator[Seen]:
+    """Fly craft with `values` (n, n_p) from all instants of `start`, pushed about with `levels` (n,
+    n_w), or not at all."""
     random = np.random.default_rng([seed, 2])
     record, n = start.filtered.record, len(values)
-    x = _first_states(model, start, n, random, pushed)
-    level = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    x = _first_states(model, start, n, random, levels)
     step: Callable[..., FloatArray] = module["step"]
     past, future = int(module["PAST"]), int(module["FUTURE"])
     sigma = dict(zip(model.dynamics.innovations.names, model.sensor_noise, strict=True))
@@ -211,7 +241,9 @@ def _simulate(
     for k in range(1, max(ends) + 1):
         at = start.rows + k
         window = _window(record.inputs, at, past + 1 + future)
-        w = level * random.standard_normal((len(start.rows), n, len(level))) if pushed else None
+        w = None
+        if levels is not None:
+            w = levels * random.standard_normal((len(start.rows), *levels.shape))
         x = step(x, window[:, None], values[None], w)
         if k in ends:
             seen = _seen(x, _window(record.inputs, at + 1, past + 1 + future), values, module)
@@ -219,7 +251,7 @@ def _simulate(
                 real = _real(start.segment, g, at + 1)
                 if real is not None:
                     noise = _noise(g, sigma, random, seen[g].shape)
-                    _keep(sums, g, ends[k], seen[g] + noise, real, which)
+                    yield Seen(group=g, seconds=ends[k], craft=seen[g] + noise, real=real)
 
 
 def _window(inputs: FloatArray, at: IntArray, size: int) -> FloatArray:
@@ -229,7 +261,11 @@ def _window(inputs: FloatArray, at: IntArray, size: int) -> FloatArray:
 
 
 def _first_states(
-    model: IdentifiedModel, start: _Start, n: int, random: np.random.Generator, pushed: bool
+    model: IdentifiedModel,
+    start: Start,
+    n: int,
+    random: np.random.Generator,
+    levels: FloatArray | None,
 ) -> FloatArray:
     """(m, n, n_x): the filter's states with its errors; disturbances anew, as no simulator knows
     those of the flight."""
@@ -245,14 +281,13 @@ def _first_states(
     x[..., 6:10] = _turned(x[..., 6:10], d[..., 6:9])
     x[..., 10:13] += d[..., 9:12]
     x[..., 13:] += d[..., 12:]
-    level = model.process_noise if model.horizon_noise is None else model.horizon_noise
     for part in disturbances(model.dynamics):
         time = float(model.values[f"{part.name}.T"])
         share = gauss_markov.renewed(time, model.sample_time)
         for i, name in enumerate(names):
             if name.startswith(f"{part.name}."):
                 j = model.dynamics.noises.names.index(name)
-                size = float(level[j]) / math.sqrt(share) if pushed else 0.0
+                size = 0.0 if levels is None else levels[:, j] / math.sqrt(share)
                 x[..., i] = size * random.standard_normal(x.shape[:2])
     return np.asarray(x)
 
@@ -291,23 +326,13 @@ def _noise(
     return np.asarray(level * random.standard_normal(shape))
 
 
-def _keep(
-    sums: _Sums,
-    group: str,
-    seconds: float,
-    seen: FloatArray,
-    real: FloatArray,
-    which: int,
-) -> None:
-    """Share inside and width of the band about its median; angles are compared around it."""
-    middle = np.median(seen, axis=1)
-    off, away = seen - middle[:, None], real - middle
-    if group == "rotation":
-        off, away = (np.arctan2(np.sin(v), np.cos(v)) for v in (off, away))
+def _keep(sums: _Sums, seen: Seen, which: int) -> None:
+    """Share inside and width of the band about its median."""
+    off, away = seen.about_the_middle()
     low, high = np.quantile(off, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=1)
     good = np.isfinite(away)
     inside = ((away >= low) & (away <= high))[good]
-    entry = sums.setdefault((group, seconds), [np.zeros(0)] * 5)
+    entry = sums.setdefault((seen.group, seen.seconds), [np.zeros(0)] * 5)
     if which == 0:
         entry[4] = np.concatenate([entry[4], np.abs(away[good])])
     entry[2 * which] = np.concatenate([entry[2 * which], inside.astype(float)])

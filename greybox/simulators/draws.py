@@ -1,16 +1,14 @@
 """Draws: craft as uncertain as the identification left them, for domain randomisation.
 
-Three sources: the joint posterior of the shared parameters, the spread of per-flight parameters
-between the training flights, and what remains unexplained, which is not a number of the craft but a
-push in flight (`pushes` has its level and time).
+Four sources: the joint posterior of the shared parameters, the spread of per-flight parameters
+between the training flights, the posterior of what was learned (`greybox.residual.drawn_push`), and
+what remains unexplained, which is not a number of the craft but a push in flight (`pushes` has its
+level and time).
 
-Every draw is a body that can be: the posterior is cut to positive inertia that obeys the triangle
-inequality, by drawing again what is none, which keeps all correlations. (Drawing the log-Cholesky
-factor of the second moments instead, after Rucker and Wensing 2022, IEEE RA-L 7(2), also gives
-bodies only. But the covariance has to be carried over linearly, and a flat craft, whose second
-moment along z is as uncertain as it is large, then comes out several times too wide.) Other
-parameters that cannot be negative are drawn in their logarithm where that is nearly the same (sigma
-below half of the value), the rest as they are, cut at their bounds.
+Every draw is a craft that can be: parameters are drawn in coordinates of which every point is a body
+(`greybox.simulators.coordinates`). What no coordinates keep is drawn again, which keeps all
+correlations: inertia of which only a part varies, thrust that falls while the command rises, rotors
+that cannot hover.
 """
 
 from __future__ import annotations
@@ -24,8 +22,10 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
-from greybox.model.parameter import Parameter
+from greybox.residual.drawn_push import DrawnPush
+from greybox.residual.hybrid import HybridModel
 from greybox.simulators.command_text import EFFECTS as COMMANDS
+from greybox.simulators.coordinates import MOMENTS, PLACES, PRODUCTS, Coordinates
 from greybox.simulators.craft import Craft, of_a_body
 from greybox.simulators.laws import linear_drag
 from greybox.simulators.principal_axes import principal_axes
@@ -34,11 +34,10 @@ from greybox.simulators.targets.mujoco import tangent, yaw_ratio
 from greybox.simulators.words import square_at_hover
 from greybox.symbolic import BoolArray, FloatArray
 
-MOMENTS = ("inertia.xx", "inertia.yy", "inertia.zz")
-RELATIVE = 0.5
-"""Sigma over value below which a parameter that cannot be negative is drawn in its logarithm."""
+LIFT = ("mass", "payload_mass.mu", "thrust.c0", "thrust.c1", "thrust.c2")
+"""What says at which rotor speed a craft hovers."""
 ROUNDS = 200
-"""How often draws that are no body are drawn again."""
+"""How often draws that can be no craft are drawn again."""
 IN_MJX = ("motor_lag", "rotor_asymmetry")
 """Effects of rotors that MuJoCo's model has arrays for."""
 MOST_DRAWS = 1_000_000
@@ -47,13 +46,18 @@ MOST_DRAWS = 1_000_000
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draws:
     """`values` (n, n_p), one craft per row, columns `names` (all parameters of the model, order of
-    simulate.py). `drawn` names those that vary; what the fit held is held."""
+    simulate.py). `drawn` names those that vary; what the fit held is held. `levels` (n, n_w): how
+    strongly each is pushed about, standard deviations per step of the process noise, and `pushes`
+    in words, where flights were counted. `learned`: how far drawn learned pushes lie apart."""
 
     craft: Craft
     names: tuple[str, ...]
     values: FloatArray
     drawn: tuple[str, ...]
     seed: int
+    levels: FloatArray
+    learned: tuple[str, ...] = ()
+    pushes: str = ""
 
     def __len__(self) -> int:
         return len(self.values)
@@ -75,7 +79,9 @@ class Draws:
         crazyflow.npz."""
         every = [self.one(i) for i in range(len(self))]
         files: dict[str, str | bytes] = {
-            "draws/draws.npz": _npz({"names": np.array(self.names), "values": self.values}),
+            "draws/draws.npz": _npz(
+                {"names": np.array(self.names), "values": self.values, "noise": self.levels}
+            ),
             "draws/ranges.toml": self.ranges(),
         }
         files["draws/mjx.npz"] = _npz(_mjx(every))
@@ -149,11 +155,13 @@ class Draws:
             mean = float(v.mean())
             share = f" ({100 * float(v.std()) / abs(mean):.1f} %)" if mean else ""
             lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}")
+        lines += [*self.learned, *([self.pushes] if self.pushes else [])]
         return "\n".join(lines)
 
 
 def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
-    """`count` craft. Raises `DataError` for no number of draws or a negative seed, `ModelError` as `Craft.of`."""
+    """`count` craft. Raises `DataError` for no number of draws, a negative seed, or a fit of which
+    hardly any draw can be a craft; `ModelError` as `Craft.of`."""
     if not 1 <= count <= MOST_DRAWS:
         raise DataError("number of draws", expected=f"1 .. {MOST_DRAWS}", got=str(count))
     if seed < 0:
@@ -163,66 +171,111 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
     names = tuple(declared)
     random = np.random.default_rng(seed)
     (of_flights,) = random.spawn(1)  # so that shared parameters are drawn alike with and without
-    mean = np.array([float(model.values[n]) for n in names])
-    values = np.tile(mean, (count, 1))
-    shared = [n for n in model.covariance_names if n in declared]
-    between = [n for n, (_, s) in model.flight_spread.items() if s > 0 and math.isfinite(s)]
+    values = np.tile([float(model.values[n]) for n in names], (count, 1))
+    shared, between = _uncertain(model)
     drawn = (*shared, *between)
-    root, sigma = np.zeros((0, 0)), np.zeros(0)
-    if shared:
-        picked = [list(model.covariance_names).index(n) for n in shared]
-        covariance = model.covariance[np.ix_(picked, picked)]
-        root, sigma = _root(covariance), np.sqrt(np.diag(covariance))
-    turned = any(n in MOMENTS or n.startswith("products_of_inertia.") for n in drawn)
+    mean, covariance = _joint(model, shared, between)
+    chosen = Coordinates.of(craft, declared, drawn, mean, covariance)
+    root = _root(chosen.covariance)
+    columns = np.array([names.index(n) for n in drawn], dtype=int)
     again = np.arange(count)
     for _ in range(ROUNDS):
-        steps = random.standard_normal((len(again), len(shared))) @ root.T
-        for k, name in enumerate(shared):
-            at = names.index(name)
-            values[again, at] = _moved(declared[name], mean[at], sigma[k], steps[:, k])
-        for name in between:
-            centre, spread = model.flight_spread[name]
-            step = spread * of_flights.standard_normal(len(again))
-            values[again, names.index(name)] = _moved(declared[name], centre, spread, step)
-        again = again[~_bodies(craft, names, values[again])] if turned else again[:0]
+        normals = [
+            r.standard_normal((len(again), len(n)))
+            for r, n in ((random, shared), (of_flights, between))
+        ]
+        values[np.ix_(again, columns)] = chosen.values(np.hstack(normals) @ root.T)
+        again = again[~_can_be(craft, names, drawn, values[again])]
         if not len(again):
             break
     else:
         raise DataError(
-            f"{craft.title}: hardly any inertia within the fit's covariance and the spread between "
-            "flights is that of a body",
-            fix="fit with a prior on the inertia",
+            f"{craft.title}: hardly any craft within the fit's covariance and the spread between "
+            "flights has the inertia of a body and thrust that rises with the command",
+            fix="fit with priors on inertia and thrust",
         )
-    return Draws(craft=craft, names=names, values=values, drawn=drawn, seed=seed)
+    learned: tuple[str, ...] = ()
+    if isinstance(model.dynamics, HybridModel):
+        push = DrawnPush(hybrid=model.dynamics)
+        weights = push.draw(count, np.random.default_rng([seed, 5]))
+        values, names = np.hstack([values, weights]), tuple(d.name for d in push.parameters)
+        learned = _learned(model.dynamics, push.spread(weights))
+    noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    return Draws(
+        craft=craft,
+        names=names,
+        values=values,
+        drawn=drawn,
+        seed=seed,
+        levels=np.tile(noise, (count, 1)),
+        learned=learned,
+    )
+
+
+def _uncertain(model: IdentifiedModel) -> tuple[list[str], list[str]]:
+    """Parameters that flights share, known or held within an error, and those of every flight."""
+    declared = {d.name for d in model.dynamics.parameters}
+    shared = [n for n in model.joint_covariance[0] if n in declared]
+    spread = model.flight_spread.items()
+    return shared, [n for n, (_, s) in spread if s > 0 and math.isfinite(s)]
+
+
+def _joint(
+    model: IdentifiedModel, shared: list[str], between: list[str]
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights."""
+    known, joint = model.joint_covariance
+    at = np.array([known.index(n) for n in shared], dtype=int)
+    spread = [model.flight_spread[n] for n in between]
+    covariance = np.diag([0.0] * len(at) + [s**2 for _, s in spread])
+    covariance[: len(at), : len(at)] = joint[np.ix_(at, at)]
+    mean = [*(float(model.values[n]) for n in shared), *(m for m, _ in spread)]
+    return np.array(mean), covariance
+
+
+def _learned(hybrid: HybridModel, sizes: FloatArray) -> tuple[str, ...]:
+    """How far drawn pushes lie apart, one line per output that was learned."""
+    both = zip(hybrid.posterior.outputs, sizes.tolist(), strict=True)
+    return tuple(f"  learned {s.name:20} +- {v:.2g} {s.unit}" for s, v in both if v)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """A matrix R with R R' the covariance, singular ones included."""
+    """A matrix R with R R' the covariance, singular ones included, and block by block where that
+    is; of one that is not quite a covariance, without its negative part."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray(scale[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _moved(d: Parameter, mean: float, sigma: float, step: FloatArray) -> FloatArray:
-    """Values (n,) of a parameter moved by `step` (n,), inside its bounds."""
-    if d.name in MOMENTS:
-        return np.asarray(mean + step)
-    if d.lower >= 0.0 and mean > 0.0 and sigma < RELATIVE * mean:
-        return np.asarray(np.minimum(mean * np.exp(step / mean), d.upper))
-    return np.asarray(np.clip(mean + step, d.lower, d.upper))
+def _can_be(
+    craft: Craft, names: tuple[str, ...], drawn: tuple[str, ...], values: FloatArray
+) -> BoolArray:
+    """Which rows (n,) have the inertia of a body, and thrust that rises with the command and
+    reaches the weight, as the estimate's does."""
+    good = np.ones(len(values), dtype=bool)
+    if any(n in (*MOMENTS, *PRODUCTS) for n in drawn):
+        j = np.tile(craft.inertia, (len(values), 1, 1))
+        for i, name in enumerate(MOMENTS):
+            j[:, i, i] = values[:, names.index(name)]
+        for name, (i, k) in zip(PRODUCTS, PLACES, strict=True):
+            if name in names:
+                j[:, i, k] += values[:, names.index(name)] - craft.get(name)
+                j[:, k, i] = j[:, i, k]
+        good &= of_a_body(np.linalg.eigvalsh(j))
+    if any(n in LIFT for n in drawn) and _rises(craft, {})[0]:
+        good &= _rises(craft, {n: values[:, names.index(n)] for n in LIFT if n in names})
+    return good
 
 
-def _bodies(craft: Craft, names: tuple[str, ...], values: FloatArray) -> BoolArray:
-    """Which rows (n,) have an inertia that is positive and obeys the triangle inequality."""
-    j = np.tile(craft.inertia, (len(values), 1, 1))
-    for i, name in enumerate(MOMENTS):
-        j[:, i, i] = values[:, names.index(name)]
-    for name, i, k in (("Jxy", 0, 1), ("Jxz", 0, 2), ("Jyz", 1, 2)):
-        full = f"products_of_inertia.{name}"
-        if full in names:
-            j[:, i, k] += values[:, names.index(full)] - craft.get(full)
-            j[:, k, i] = j[:, i, k]
-    return of_a_body(np.linalg.eigvalsh(j))
+def _rises(craft: Craft, columns: Mapping[str, FloatArray]) -> BoolArray:
+    """Whether thrust rises over the command range and reaches the weight (n,), with other numbers
+    of `LIFT` in `columns` (n,) each; (1,) without."""
+    mass, payload, c0, c1, c2 = (columns.get(n, np.array([craft.get(n)])) for n in LIFT)
+    f = craft.get("thrust_curve.f")
+    low, high = ((1.0 - f) * u + f * u * u for u in craft.command_range)
+    need = mass * (1.0 + payload) * craft.gravity / craft.count - c0
+    rises = (c1 + 2.0 * c2 * low >= 0.0) & (c1 + 2.0 * c2 * high > 0.0)
+    return np.asarray(rises & (need > 0.0) & (c1 * c1 + 4.0 * c2 * need >= 0.0))
 
 
 # ---------------------------------------------------------------- under the names of simulators
@@ -276,7 +329,7 @@ def _isaac(every: list[Craft], carried: FloatArray) -> dict[str, FloatArray]:
     """Masses (n, 1), inertia about the centre of mass in body axes (n, 9), centre of mass from the
     body's origin (n, 3) with the axes of the body (w, x, y, z); and Pegasus' thrust curve and
     linear drag. `carried`: strength (n,) of the rotors that commands.py scales speeds by."""
-    square = 1.0 / every[0].speed_max**2
+    square = 1.0 / every[0].speed_max ** 2
     factor = square * np.array([c.strength for c in every]) / carried
     thrust, torque = (
         np.array([[square_at_hover(getattr(c, key), c.hover_nu)] for c in every])

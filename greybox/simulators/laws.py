@@ -17,7 +17,7 @@ from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
-from greybox.simulators.words import Wording
+from greybox.simulators.words import GYROSCOPIC, Status, Word, Wording
 from greybox.symbolic import Expr, FloatArray
 
 
@@ -61,6 +61,35 @@ def typical_speed(craft: Craft) -> float:
     """Root mean square speed of points drawn evenly from the training domain [m/s]."""
     boxes = [craft.domain.get(f"v{a}", (0.0, 0.0)) for a in "xyz"]
     return math.sqrt(sum((a * a + a * b + b * b) / 3.0 for a, b in boxes))
+
+
+class NotGyroscopic(Effect):
+    """M = omega x J omega: takes the gyroscopic moment of a body with moments J away."""
+
+    name = "not_gyroscopic"
+    stage = "wrench"
+    summary = "no gyroscopic moment of the body"
+    formula = "M = omega x J omega"
+
+    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
+        """Jx, Jy, Jz [kg m^2]."""
+        return tuple(
+            Parameter(name=f"J{a}", unit="kg m^2", nominal=0.0, null=0.0, meaning="moment")
+            for a in "xyz"
+        )
+
+    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
+        """Moment about the centre of mass."""
+        j: Expr = ca.vertcat(p["Jx"], p["Jy"], p["Jz"])
+        return {"moment": ca.cross(flow.omega, j * flow.omega)}
+
+
+def no_gyroscopic_moment(wording: Wording, why: str) -> None:
+    """A row for a simulator whose body has no gyroscopic moment, and three moments of inertia."""
+    j = wording.craft.inertia
+    values = {f"not_gyroscopic.J{a}": float(j[i, i]) for i, a in enumerate("xyz")}
+    change = Change(instead=(NotGyroscopic(),), values=values)
+    wording.add(Word(effect=GYROSCOPIC, status=Status.LOST, how=why, change=change))
 
 
 DRAGS = ("rotor_drag", "axial_inflow", "parasitic_drag")

@@ -16,6 +16,7 @@ from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
+from greybox.simulators.push_levels import with_push_levels
 from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
@@ -122,12 +123,14 @@ def twin(
     force: bool = False,
     draws: int | None = None,
     seed: int = 0,
+    train: Dataset | None = None,
     check: Dataset | None = None,
 ) -> Twin:
     """The model as files of `targets` (all, where none is named): one folder each, with
     sensors.toml and a statement of what the simulator folds or loses. Written to `out`, if given.
-    `draws`: also so many craft as uncertain as the fit left them, from `seed`; `check`: flights
-    that no fit saw, on which their band is counted.
+    `draws`: also so many craft as uncertain as the fit left them, from `seed`; `train`: the flights
+    of the fit, on which is counted how strongly they are pushed about; `check`: flights that no fit
+    saw, on which their band is counted.
 
     Raises `UnknownNameError` for a target, `DataError` for one named twice, `ModelError` for a
     model that is no vehicle's, that no body is like, or whose rotors a named target cannot express,
@@ -160,6 +163,8 @@ def twin(
             files[f"{target.name}/{name}"] = text
     drawn = None if draws is None else draw(model, draws, seed)
     covered: tuple[Covered, ...] = ()
+    if drawn is not None and train is not None:
+        drawn = with_push_levels(model, drawn, train, seed=seed)
     if drawn is not None:
         files |= drawn.files()
         notes += [drawn.summary(), *drawn.notes]

@@ -7,6 +7,9 @@ import numpy as np
 
 from greybox.model.dynamics import Dynamics
 from greybox.model.layer import Layer, with_physics
+from greybox.model.parameter import Parameter
+from greybox.residual.drawn_push import DrawnPush
+from greybox.residual.hybrid import HybridModel
 from greybox.simulators.craft import Craft
 from greybox.simulators.python_code import python_source
 from greybox.simulators.size import start_state
@@ -55,7 +58,8 @@ def pieces(craft: Craft) -> dict[str, object]:
     hover += [craft.nominal_voltage or 1.0] * (len(dynamics.inputs) - craft.count)
     own = start_state(craft, blocks, np.array(hover))
     start[: len(own)] = own
-    level = dict(zip(model.dynamics.noises.names, model.process_noise.tolist(), strict=True))
+    noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
+    level = dict(zip(model.dynamics.noises.names, noise.tolist(), strict=True))
     return {
         "title": craft.name,
         "dt": craft.sample_time,
@@ -70,7 +74,7 @@ def pieces(craft: Craft) -> dict[str, object]:
         "inputs": repr(dynamics.inputs.names),
         "outputs": repr(dynamics.outputs.names),
         "parameters": repr(tuple(d.name for d in dynamics.parameters)),
-        "values": repr([_value(craft, d.name) for d in dynamics.parameters]),
+        "values": repr([_value(craft, d) for d in dynamics.parameters]),
         "noises": repr(dynamics.noises.names),
         "noise": repr([level.get(n, 0.0) for n in dynamics.noises.names]),
         "start": repr(start.tolist()),
@@ -79,8 +83,10 @@ def pieces(craft: Craft) -> dict[str, object]:
     }
 
 
-def _value(craft: Craft, name: str) -> float:
-    return float(craft.values[name]) if name in craft.values else float(craft.source.values[name])
+def _value(craft: Craft, d: Parameter) -> float:
+    """Of the craft, of its source (what is no number of a craft), or a learned weight's own."""
+    of_source = craft.source.values.get(d.name, d.nominal)
+    return float(craft.values.get(d.name, of_source))
 
 
 def hover_command(craft: Craft) -> float:
@@ -92,11 +98,13 @@ def hover_command(craft: Craft) -> float:
 
 
 def _whole(craft: Craft) -> Dynamics:
-    """The craft's physics under the pushes and learned parts of its source."""
+    """The craft's physics under the pushes and learned parts of its source, learned weights as
+    parameters."""
     dynamics = craft.source.dynamics
     if not isinstance(dynamics, Layer):
         return craft.physics
-    return with_physics(dynamics, lambda _: craft.physics)
+    whole = with_physics(dynamics, lambda _: craft.physics)
+    return DrawnPush(hybrid=whole) if isinstance(whole, HybridModel) else whole
 
 
 def _functions(dynamics: Dynamics, dt: float) -> str:

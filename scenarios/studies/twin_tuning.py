@@ -1,5 +1,6 @@
 """Gains searched in a twin, flown on a plant that nobody fitted them to: the identified twin, the numbers of the
-vehicle file, and a box of +-30 % about these.
+vehicle file, a box of +-30 % about these, and both again with a motor lag as the vehicle templates have it (a vehicle
+file of a stranger has none, which alone may lose a craft).
 
     python -m scenarios.studies.twin_tuning DIR [DIR ...] [--out F.json]
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from greybox.files import read_json, write_json
 from greybox.model.identified import IdentifiedModel
-from greybox.model.vehicle import read_vehicle
+from greybox.model.vehicle import Quantity, read_vehicle
 from greybox.residual.files import load_model
 from greybox.simulators.coverage import BOX
 from greybox.simulators.craft import Craft
@@ -38,6 +39,8 @@ DT, SECONDS, CANDIDATES, DRAWS, ROUNDS = 0.01, 8.0, 48, 6, 3
 RADIUS, CLIMB, CENTER = 1.2, 0.3, np.array([0.0, 0.0, 1.5])
 TUNED, FLOWN = (3.6,), (3.2, 4.5, 5.5)
 """Periods [s] of the figure eights that gains are searched on, and of those flown."""
+LAG = Quantity(value=0.04, sigma=0.02)
+"""Motor lag [s] of the templates `x` and `plus` of `greybox vehicle new`."""
 LOST = 3.0
 """Distance from the path [m] from which on a flight is lost; it counts as so far."""
 FIRST = np.array([4.0, 3.0, 8.0, 12.0, 3.0, 3.0])
@@ -169,12 +172,16 @@ STATES = ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz", "p", "q", "r"
 
 def study(folder: Path, seed: int) -> dict[str, Any]:
     """One craft: error [m] on the plant by twin and period, and the gains."""
-    sheet, fitted = model_of(read_vehicle(folder / "vehicle.toml")), load_model(folder / "fit" / "model.json")
+    vehicle, fitted = read_vehicle(folder / "vehicle.toml"), load_model(folder / "fit" / "model.json")
+    sheet = model_of(vehicle)
+    lagging = model_of(replace(vehicle, effects={**vehicle.effects, "motor_lag": {"tau": LAG}}))
     truth = read_json(folder / "truth.json")
     rows: dict[str, Any] = {}
     for name, model, values in (
         ("vehicle file", sheet, None),
         (f"vehicle file, box of {100 * BOX:.0f} %", sheet, _box(sheet, seed)),
+        ("vehicle file with a lag", lagging, None),
+        (f"with a lag, box of {100 * BOX:.0f} %", lagging, _box(lagging, seed)),
         ("twin", fitted, None),
         ("twin, calibrated draws", fitted, draw(fitted, DRAWS, seed).values),
     ):

@@ -90,6 +90,7 @@ def test_a_model_that_is_not_usable_is_refused(
         (["--target", "rotorpy,rotorpy"], "target rotorpy twice"),
         (["--target", ","], "names none"),
         (["--target", "rotorpy", "--check", "a.csv"], "--check without draws"),
+        (["--target", "rotorpy", "--train", "a.csv"], "--train without draws"),
     ],
 )
 def test_options_that_cannot_be_are_refused_in_one_line(
@@ -140,7 +141,7 @@ def test_a_forced_twin_leaves_no_files_of_the_old_one(tmp_path: Path) -> None:
     assert mine.read_text() == "mine"
 
 
-@pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet"])
+@pytest.mark.parametrize("target", ["px4", "ardupilot", "pybullet", "flightgoggles"])
 def test_a_layout_that_a_target_cannot_express_is_refused_by_name_and_noted_otherwise(
     target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

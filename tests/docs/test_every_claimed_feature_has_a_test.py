@@ -69,6 +69,7 @@ CLAIMS: dict[str, dict[str, str]] = {
         **dict.fromkeys(
             ("PyBullet", "Gazebo", "PX4", "ArduPilot", "Isaac"), "tests/simulators/test_written_numbers_give_the_wrench.py"
         ),
+        "FlightGoggles": "tests/simulators/test_written_numbers_give_the_wrench.py",
         "JSBSim": "tests/simulators/test_simulators_fly_the_model_with_the_rest.py",
         "NumPy and JAX": "tests/simulators/test_the_module_is_the_model.py",
     },

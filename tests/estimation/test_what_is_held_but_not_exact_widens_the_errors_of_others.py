@@ -10,6 +10,7 @@ from greybox.errors import ModelError
 from greybox.estimation.considered import by_flights_alone
 from greybox.estimation.fit import fit
 from greybox.model.dynamics import StateSpaceModel
+from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
 from greybox.symbolic import Layout, Signal
 
@@ -99,3 +100,17 @@ def test_rounding_of_an_ill_conditioned_ratio_tells_nothing():
             columns = np.column_stack([free, held])
             found = by_flights_alone(columns.T @ columns, np.arange(6), np.array([6]), np.array([0.03]))
             assert found[0] > 0.03
+
+
+def test_the_model_keeps_how_well_the_ratio_is_known_and_its_file_too(tmp_path):
+    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES)
+    joint = fit(cart(), record(), **CHOICES).model
+    for model in (found.model, IdentifiedModel.load(found.model.save(tmp_path / "model.json"))):
+        names, c = model.joint_covariance
+        at = [names.index("gain"), names.index("mass")]
+        slope = np.array([1 / MASS, -found["gain"].value / MASS**2])
+        ratio = np.sqrt(slope @ c[np.ix_(at, at)] @ slope)
+        free = [joint.covariance_names.index(n) for n in ("gain", "mass")]
+        assert ratio == pytest.approx(np.sqrt(slope @ joint.covariance[np.ix_(free, free)] @ slope), rel=2e-2)
+        assert np.sqrt(c[at[1], at[1]]) == pytest.approx(SIGMA)
+        assert np.linalg.eigvalsh(c).min() > 0

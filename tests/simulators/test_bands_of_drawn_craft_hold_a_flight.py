@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from greybox.model.model import build_model
 from greybox.model.parameter import ParameterValues
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.draws import draw
+from greybox.simulators.push_levels import with_push_levels
 from tests import simulated
 
 NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
@@ -44,7 +46,7 @@ def model(off: float = 1.0) -> IdentifiedModel:
 
 
 def rows(m: IdentifiedModel) -> dict[tuple[str, float, bool], Covered]:
-    found = coverage(m, draw(m, 40, seed=1), simulated.flights(1, 10.0), seed=1)
+    found = coverage(m, draw(m, 100, seed=1), simulated.flights(1, 10.0), seed=1)
     assert "needed" in format_table(found)
     return {(r.group, r.seconds, r.adapted): r for r in found}
 
@@ -59,8 +61,32 @@ def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.Monk
         assert ours.box_width > 3.0 * ours.width
 
 
+def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Filter's levels five times too small, as where one step ahead says little of half a second; the plant has gusts."""
+    monkeypatch.setattr(coverage_module, "SPACING", 0.5)
+    m = replace(model(), process_noise=0.2 * model().process_noise)
+    few = draw(m, 60, seed=1)
+    counted = with_push_levels(m, few, simulated.flights(4, 9.0, first_seed=60), seed=1)
+    assert counted.levels.shape == few.levels.shape and "pushes, counted on 4 flights" in counted.summary()
+    assert np.ptp(few.levels, axis=0).max() == 0.0
+    unseen = simulated.flights(1, 10.0)
+    before, after = (
+        {(r.group, r.seconds): r for r in coverage(m, d, unseen, seed=1)} for d in (few, counted)
+    )
+    shares = [[r[g, h].share for g in ("velocity", "rate") for h in (0.5, 1.0)] for r in (before, after)]
+    assert np.mean(shares[1]) > np.mean(shares[0]) + 0.1
+    assert np.mean(shares[1]) > 0.85
+
+
 def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage_module, "START", 9.5)
     m = model()
     with pytest.raises(DataError, match="long enough"):
-        coverage(m, draw(m, 3), simulated.flights(1, 10.0))
+        coverage(m, draw(m, 20), simulated.flights(1, 10.0))
+
+
+def test_too_few_draws_are_refused_and_not_divided_by() -> None:
+    m = model()
+    for few in (1, 19):
+        with pytest.raises(DataError, match=f"too few draws for bands; expected 20 or more; got {few}"):
+            coverage(m, draw(m, few), simulated.flights(1, 10.0))

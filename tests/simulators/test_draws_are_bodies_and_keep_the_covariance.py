@@ -49,6 +49,55 @@ def test_draws_of_a_wide_posterior_are_all_bodies() -> None:
     assert (draws.column("rotor_drag.k_x") == 0).any(), "a wide one is cut at its bound"
 
 
+def test_drawn_thrust_rises_with_the_command_and_carries_the_craft() -> None:
+    model = uncertain((0.1,) * 6)
+    names = ("thrust.c1", "thrust.c2")
+    thrust = {"thrust.c0": 0.0, "thrust.c1": 2.0, "thrust.c2": 1.0}
+    model = replace(model, values=model.values.replace(thrust), covariance_names=names)
+    draws = draw(replace(model, covariance=np.diag([1.0, 2.0]) ** 2), 500, seed=1)
+    c1, c2 = (draws.column(n) for n in names)
+    low, high = draws.craft.command_range
+    assert (c2 < 0).any(), "a thrust that bends down is no fault"
+    assert (c1 + 2 * c2 * low >= 0).all() and (c1 + 2 * c2 * high > 0).all()
+    assert all(draws.one(i).hover_nu > 0 for i in range(500))
+    assert "draws/isaac.npz" in draws.files()
+
+
+def test_a_ratio_that_flights_know_is_kept_where_the_mass_was_only_held() -> None:
+    """Thrust over mass is known to 1 %, each of them to 15 %."""
+    model = uncertain((0.02,) * 6)
+    thrust, mass = model.values["thrust.c2"], model.values["mass"]
+    held = {"mass": (0.15 * mass, {"thrust.c2": thrust / mass})}
+    wide = (0.15**2 + 0.01**2) * thrust**2
+    model = replace(
+        model, covariance_names=("thrust.c2",), covariance=np.array([[wide]]), considered=held, flight_spread={}
+    )
+    draws = draw(model, 4000, seed=1)
+    c2, m = draws.column("thrust.c2"), draws.column("mass")
+    assert m.std() == pytest.approx(0.15 * mass, rel=0.05)
+    assert c2.std() == pytest.approx(0.15 * thrust, rel=0.05)
+    assert (c2 / m).std() == pytest.approx(0.01 * thrust / mass, rel=0.1)
+    assert (c2 / m).mean() == pytest.approx(thrust / mass, rel=2e-3)
+
+
+def test_products_of_inertia_are_drawn_with_the_moments() -> None:
+    model = uncertain((0.1,) * 6)
+    products = {f"products_of_inertia.{n}": v for n, v in (("Jxy", 8e-4), ("Jxz", -3e-4), ("Jyz", 2e-4))}
+    rounder = {"inertia.xx": 0.010, "inertia.yy": 0.011, "inertia.zz": 0.014}
+    whole = identified({**{n: model.values[n] for n in NAMES}, **products, **rounder})
+    names = (*NAMES[:3], *products)
+    sigma = np.array([0.05 * whole.values[n] for n in NAMES[:3]] + [2e-4] * 3)
+    model = replace(whole, covariance_names=names, covariance=np.diag(sigma**2))
+    draws = draw(model, 8000, seed=2)
+    columns = np.array([draws.column(n) for n in names])
+    np.testing.assert_allclose(columns.mean(axis=1), [model.values[n] for n in names], rtol=0.02, atol=1e-5)
+    np.testing.assert_allclose(columns.std(axis=1), sigma, rtol=0.15)
+    np.testing.assert_allclose(np.corrcoef(columns), np.eye(6), atol=0.1)
+    wide = draw(replace(model, covariance=25 * model.covariance), 1000, seed=2)
+    j = moments(wide)
+    assert (j[:, 0] > 0).all() and (j[:, 2] <= j[:, 0] + j[:, 1]).all()
+
+
 def test_a_narrow_posterior_comes_back() -> None:
     model = uncertain((0.03, 0.03, 0.03, 0.02, 0.04, 0.05))
     draws = draw(model, 20_000, seed=2)

@@ -55,7 +55,11 @@ def test_there_and_back(target: str, tmp_path: Path) -> None:
     vehicle = tmp_path / "v.toml"
     source = ["--from", str(tmp_path / name), "--set", "name=example"]
     assert main(["vehicle", "new", *source, "--out", str(vehicle)]) == 0
-    again = written(target, Craft.of(model_of(read_vehicle(vehicle))))
+    found = read_vehicle(vehicle)
+    effects = {n: q for own in found.effects.values() for n, q in own.items()}
+    for name_, q in {**found.quantities, **effects}.items():
+        assert q.sigma > 0 or q.value == 0.0, f"a file of a simulator says nothing of the error of {name_}"
+    again = written(target, Craft.of(model_of(found)))
     second = next(t for n, t in again.items() if Path(n).suffix == Path(name).suffix)
     # noise and the size of the domain are not in these files
     kept = ("noise", "stddev", "max_speed_kmh", "IMU", '"rI"', "<pose>0.0 0.0 0.0 0 0 0</pose>")

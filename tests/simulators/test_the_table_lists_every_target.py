@@ -55,6 +55,20 @@ def test_every_file_parses_whatever_the_craft_is_called(folder: Path) -> None:
     assert parsed > 15
 
 
+def test_every_number_of_a_yaml_file_is_read_as_a_number(folder: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    read = [yaml.safe_load(p.read_text()) for p in sorted(folder.rglob("*.yaml"))]
+    assert len(read) == 2
+
+    def leaves(value: object) -> list[object]:
+        if isinstance(value, dict):
+            value = list(value.values())
+        return [x for v in value for x in leaves(v)] if isinstance(value, list) else [value]
+
+    for value in (x for r in read for x in leaves(r)):
+        assert isinstance(value, float | int), value
+
+
 def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
     schema = json.loads(resources.files("greybox.schemas").joinpath("twin.json").read_text())
     jsonschema.validate(json.loads((folder / "twin.json").read_text()), schema)

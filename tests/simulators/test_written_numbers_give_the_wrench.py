@@ -168,6 +168,29 @@ def test_px4() -> None:
     compare(craft, s, {"mass": np.array(p["SIH_MASS"]), "inertia": flip @ j @ flip}, wrench)
 
 
+def test_flightgoggles() -> None:
+    yaml = pytest.importorskip("yaml")
+    values = {k: v for k, v in MODEL.items() if not k.startswith("rotor_asymmetry")}
+    craft, files = spoken("flightgoggles", values)
+    p = yaml.safe_load(files["drone.yaml"])["flightgoggles_uav_dynamics"]
+    s = states(craft)
+    spins = {tuple(np.sign(h[:2]).astype(int)): i for i, h in enumerate(craft.hubs)}
+    order = [spins[1, 1], spins[-1, 1], spins[-1, -1], spins[1, -1]]
+    lever = p["moment_arm"] * p["thrust_coefficient"]
+    inertia = np.array([p[f"vehicle_inertia_{a}"] for a in ("xx", "yy", "zz")])
+    ours = accelerations(craft, s)
+    for k in range(s["rate"].shape[1]):
+        a, b, c, d = (craft.speed_max * s["inputs"][:, k][order]) ** 2
+        turn, v = rotation(s["attitude"][:, k]), s["velocity"][:, k]
+        lift = p["thrust_coefficient"] * (a + b + c + d) / p["vehicle_mass"]
+        drag = -p["drag_coefficient"] * np.linalg.norm(v) * v
+        force = turn.T @ drag + np.array([0.0, 0.0, lift])
+        moment = [lever * (a + b - c - d), lever * (-a + b + c - d), p["torque_coefficient"] * (-a + b - c + d)]
+        np.testing.assert_allclose(force, ours[:3, k], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(np.array(moment) / inertia, ours[3:, k], rtol=1e-8, atol=1e-8)
+    assert p["min_arming_thrust"] < 1.1 * craft.mass * craft.gravity
+
+
 def test_pegasus() -> None:
     values = {k: v for k, v in MODEL.items() if not k.startswith("rotor_asymmetry")}
     craft, files = spoken("isaac", values)

@@ -6,6 +6,7 @@ from greybox.errors import UnknownNameError
 from greybox.simulators.target import Target
 from greybox.simulators.targets.ardupilot import ArduPilot
 from greybox.simulators.targets.crazyflow import CRAZYFLOW, DRONE_MODELS
+from greybox.simulators.targets.flightgoggles import FlightGoggles
 from greybox.simulators.targets.gazebo import Gazebo
 from greybox.simulators.targets.isaac import Isaac
 from greybox.simulators.targets.jax_module import JaxModule
@@ -29,6 +30,7 @@ TARGETS: tuple[Target, ...] = (
     ArduPilot(),
     Isaac(),
     JSBSim(),
+    FlightGoggles(),
 )
 
 

@@ -26,10 +26,10 @@ from greybox.model.flow import Flow
 from greybox.model.parameter import Parameter
 from greybox.simulators.change import Change
 from greybox.simulators.craft import Craft
+from greybox.simulators.laws import no_gyroscopic_moment
 from greybox.simulators.layout import Place, order_in
 from greybox.simulators.module_text import hover_command
 from greybox.simulators.words import (
-    GYROSCOPIC,
     THRUST_MAP,
     TORQUE_MAP,
     Status,
@@ -70,24 +70,6 @@ class AxisDrag(Effect):
         """Force through the centre of mass."""
         air = flow.velocity - flow.wind
         return {"force": -p["c"] * air * ca.fabs(air)}
-
-
-class NotGyroscopic(Effect):
-    """M = omega x J omega: takes the gyroscopic moment of a body with moments J away."""
-
-    name = "not_gyroscopic"
-    stage = "wrench"
-    summary = "no gyroscopic moment of the body"
-    formula = "M = omega x J omega"
-
-    def parameters(self, vehicle: Any) -> tuple[Parameter, ...]:
-        """Jx, Jy, Jz [kg m^2]."""
-        return tuple(Parameter(name=f"J{a}", unit="kg m^2", nominal=0.0, null=0.0, meaning="moment") for a in "xyz")
-
-    def apply(self, flow: Flow, p: Mapping[str, Expr]) -> Mapping[str, Expr]:
-        """Moment about the centre of mass."""
-        j: Expr = ca.vertcat(p["Jx"], p["Jy"], p["Jz"])
-        return {"moment": ca.cross(flow.omega, j * flow.omega)}
 
 
 def frame_of(craft: Craft) -> tuple[str, tuple[int, ...]]:
@@ -160,17 +142,7 @@ class ArduPilot:
         w.said("steady_wind", f"{wind}; SITL has no wind in its first 5 s")
         w.lost("motor_lag", "motors follow at once; slew_max is a limit of their rate")
         w.lost("products_of_inertia", "moment_inertia has three numbers")
-        w.add(
-            Word(
-                effect=GYROSCOPIC,
-                status=Status.LOST,
-                how="SITL divides torque by moment of inertia",
-                change=Change(
-                    instead=(NotGyroscopic(),),
-                    values={f"not_gyroscopic.J{a}": float(craft.inertia[i, i]) for i, a in enumerate("xyz")},
-                ),
-            )
-        )
+        no_gyroscopic_moment(w, "SITL divides torque by moment of inertia")
         return w.finish()
 
     def _maps(self, w: Wording) -> None:

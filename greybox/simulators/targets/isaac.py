@@ -17,6 +17,7 @@ from greybox.simulators.laws import drag_of, fold_drag
 from greybox.simulators.principal_axes import principal_axes
 from greybox.simulators.sensor_text import coloured_parts
 from greybox.simulators.words import Word, Wording, quadratic_maps
+from greybox.simulators.yaml_text import yaml_list, yaml_number
 from greybox.symbolic import FloatArray
 
 _YAML = """# {name} for Pegasus (Isaac Sim), written by greybox twin.
@@ -100,18 +101,18 @@ class Isaac:
         arm = float(np.abs(craft.hubs[:, :2]).max())
         yaml = _YAML.format(
             name=craft.name,
-            mass=repr(craft.mass),
+            mass=yaml_number(craft.mass),
             count=n,
-            constants=[float(craft.thrust[2]) / speed**2] * n,
-            moments=[float(craft.torque[2]) / speed**2] * n,
+            constants=yaml_list([float(craft.thrust[2]) / speed**2] * n),
+            moments=yaml_list([float(craft.torque[2]) / speed**2] * n),
             directions=[int(-s) for s in craft.spins],
-            low=[0.0] * n,
-            high=[2.0 * speed] * n,
-            drag=drag_of(craft).tolist(),
-            gyro=repr(gyro),
-            accelerometer=repr(accelerometer),
+            low=yaml_list([0.0] * n),
+            high=yaml_list([2.0 * speed] * n),
+            drag=yaml_list(drag_of(craft)),
+            gyro=yaml_number(gyro),
+            accelerometer=yaml_number(accelerometer),
             **{
-                f"{s}_walk": repr(float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0)))
+                f"{s}_walk": yaml_number(float(coloured_parts(craft, s).get("drift", {}).get("sigma", 0)))
                 for s in ("gyro", "accelerometer")
             },
         )
