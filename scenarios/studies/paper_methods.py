@@ -366,6 +366,8 @@ def hybrid_nonlinear(bench: Bench) -> Outcome:
 def training_claim(bench: Bench) -> dict[str, float]:
     """Is a Gaussian process quicker to train on the residual? Seconds of CPU of the same process (inputs of the sample
     before, rows, support points, start) on the outputs themselves and on what the nonlinear PEM leaves of them."""
+    import gpytorch  # noqa: F401 (its import is not training)
+
     from greybox.residual.train import train_gp
 
     rows = bench.data.rows(bench.train)
