@@ -70,6 +70,7 @@ def abi_number(functions: ModelFunctions, source: CSource) -> int:
         f.states, f.inputs, f.parameters, f.outputs, f.error_states, f.innovations, f.features, f.learned, f.targets,
     ]  # fmt: skip
     text = repr([(s.name, s.unit) for layout in layouts for s in layout]) + repr(list(f.covariance_names))
+    text += repr(list(functions.adapted.names))
     text += repr([(f.name, [(p.name, p.rows, p.columns) for p in (*f.inputs, *f.outputs)]) for f in source.functions])
     return int(hashlib.sha256((text + source.real).encode()).hexdigest()[:8], 16)
 
@@ -106,6 +107,7 @@ class CModel:
             ("E", "innovations e, there", f.innovations), ("Z", "inputs z of the learned part", f.features),
             ("G", "learned outputs", f.learned), ("R", "targets r", f.targets),
             ("THETA", "uncertain parameters (columns of b)", f.covariance_names),
+            ("A", "adapted parameters (columns of G, rows and columns of V)", f.adapted.names),
         ):  # fmt: skip
             names = layout.names if isinstance(layout, Layout) else tuple(layout)
             units = layout.units if isinstance(layout, Layout) else ("",) * len(names)
@@ -134,6 +136,8 @@ class CModel:
             "process_noise": ("n_d x n_d, Q per sample", f.noise.process),
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
+            "adapted_covariance": ("n_a x n_a, before a flight: a start for V", f.adapted.covariance),
+            "adapted_start": ("n_d x n_a, a start for G", f.adapted.start),
         }  # fmt: skip
         return {k: (why, np.ravel(v, order="F")) for k, (why, v) in named.items() if np.size(v)}
 

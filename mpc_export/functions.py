@@ -21,15 +21,16 @@
 | P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
+| adapt_step | x u p y there G V memory -> x_next, p_next, G_next, V_next, e, y_hat: the filter that adapts (adaptation.py) |
 | output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
 
-Groups "covariance", "filter", "target", "hessian", "nominal" come on request. All results are dense, column by column. x
-holds the model's own states and then the command history (sampled.py); p the battery voltage where the model has one, the
-parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX inside; a learned part is MX
-(one `exp` over the support points, analytic Jacobians).
+Groups "covariance", "filter", "target", "hessian", "nominal", "adapt" come on request. All results are dense, column by
+column. x holds the model's own states and then the command history (sampled.py); p the battery voltage where the model
+has one, the parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX inside; a
+learned part is MX (one `exp` over the support points, analytic Jacobians).
 
 This file is long because the functions of one model are one thing: they share their parts and their order.
 """
@@ -55,6 +56,7 @@ from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
+from mpc_export.adaptation import NOTHING, Adapted, adapt_function, adapted, flight_parameters
 from mpc_export.dense import cholesky, cholesky_solve
 from mpc_export.innovation_form import SampledForm
 from mpc_export.noise import Noise, identified_noise, innovation_noise, parameter_covariance
@@ -62,7 +64,7 @@ from mpc_export.predictors import Fitted, Learned, NetworkPart, PredictorModel, 
 from mpc_export.sampled import Sampled, at_sample_time, is_discrete
 from mpc_export.target import target_function, tracked
 
-GROUPS = ("covariance", "filter", "target", "hessian", "nominal")
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt")
 WEIGHTS = "gp.weights"
 EULER = ("phi", "theta", "psi")
 NOWHERE = 1e30
@@ -75,7 +77,8 @@ class ModelFunctions:
 
     Layouts give order, names and units. `parameter_values` (n_p,) are the identified values of p, `reference` = (x, u)
     the point of the stationary gain. `delay` maps a delayed input to its history length. `covariance_names` and
-    `covariance` are the uncertain parameters of `consider_step`. `targets` names what `target_step` holds.
+    `covariance` are the uncertain parameters of `consider_step`. `targets` names what `target_step` holds, `adapted` what
+    `adapt_step` adapts.
     """
 
     name: str
@@ -101,6 +104,7 @@ class ModelFunctions:
     scales: tuple[FloatArray, FloatArray, FloatArray]
     delay: Mapping[str, int]
     targets: Layout
+    adapted: Adapted
     discrete: bool
     posterior: Learned | None
     model: IdentifiedModel | LinearModel | PredictorModel
@@ -114,11 +118,11 @@ class ModelFunctions:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta."""
+        """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta, n_a (adapted)."""
         return {
             "n_x": len(self.states), "n_d": len(self.error_states), "n_u": len(self.inputs), "n_p": len(self.parameters),
             "n_y": len(self.outputs), "n_e": len(self.innovations), "n_z": len(self.features), "n_g": len(self.learned),
-            "n_r": len(self.targets), "n_theta": len(self.covariance_names),
+            "n_r": len(self.targets), "n_theta": len(self.covariance_names), "n_a": len(self.adapted.names),
         }  # fmt: skip
 
 
@@ -151,6 +155,9 @@ class _Builder:
     ) -> None:
         if not isinstance(model, (IdentifiedModel, LinearModel, PredictorModel)):
             model = predictor_model(model, dt=dt)
+        if "adapt" in groups:
+            groups = groups | {"filter"}
+            runtime = tuple(dict.fromkeys((*runtime, *flight_parameters(model))))
         self.model, self.groups = model, groups
         dynamics: Dynamics = _dynamics(model)
         self.own_dt = float(model.sample_time if isinstance(model, IdentifiedModel) else model.dt)
@@ -569,8 +576,7 @@ class _Builder:
         self.functions["innovation_gain"] = ca.Function(
             "innovation_gain", [mt], [ca.densify(gain), ca.densify(spread)], ["there"], ["K", "S"]
         )
-        y, y_hat = ca.SX.sym("y", ny), ca.SX.sym("y_hat", ny)
-        innovation = ca.Function("innovation", [y, y_hat, self.x], [ca.densify(s.innovation(y, y_hat, self.x))])
+        innovation = self._innovation
         mx, mu, mp = self._arguments()
         my = ca.MX.sym("y", ny)
         seen = self.functions["h"](mx, mu, mp)
@@ -590,6 +596,26 @@ class _Builder:
             "filter_step", [mx, mu, mp, my, mt], [after, found, seen], ["x", "u", "p", "y", "there"],
             ["x_next", "e", "y_hat"],
         )  # fmt: skip
+
+    @cached_property
+    def _innovation(self) -> Any:
+        """(y, y_hat, x) -> e."""
+        ny = len(self.sampled.dynamics.outputs)
+        y, y_hat = ca.SX.sym("y", ny), ca.SX.sym("y_hat", ny)
+        found = self.sampled.innovation(y, y_hat, self.x)
+        return ca.Function("innovation", [y, y_hat, self.x], [ca.densify(found)])
+
+    def _adapt(self, values: FloatArray) -> Adapted:
+        """Adds adapt_step; `values` (n_p,) are the identified ones."""
+        assert isinstance(self.model, IdentifiedModel)
+        learned = self.posterior if isinstance(self.posterior, (GPPosterior, FeaturePosterior)) else None
+        own = adapted(
+            self.model, self.parameters, values, learned if self.weights else None, self.noise.covariance
+        )
+        self.functions["adapt_step"] = adapt_function(
+            self.functions, self._innovation, own, self.sampled.states, self.dt
+        )
+        return own
 
     def _hessian(self) -> None:
         lam: Any = ca.MX.sym("lam", self.x.numel())
@@ -648,11 +674,13 @@ class _Builder:
         self._domain()
         x, u, p = self._reference()
         self.noise = self._noise(x, u, p)
-        targets = Layout([])
+        targets, own = Layout([]), NOTHING
         if "covariance" in self.groups:
             self._covariance()
         if "filter" in self.groups:
             self._filter()
+        if "adapt" in self.groups:
+            own = self._adapt(p)
         if "target" in self.groups:
             targets = tracked(s)
             self.functions["target_step"] = target_function(s, self.functions, targets, len(self.parameters))
@@ -674,7 +702,8 @@ class _Builder:
             learned=none if self.posterior is None else self.posterior.outputs, own_states=len(s.dynamics.states),
             own_error_states=len(s.dynamics.error_states), parameter_values=p, reference=(x, u), noise=self.noise,
             covariance_names=self.theta_names, covariance=self.theta_covariance, bounds=_bounds(self), scales=_scales(self),
-            delay=longest, targets=targets, discrete=self.discrete, posterior=self.posterior, model=self.model, sampled=s,
+            delay=longest, targets=targets, adapted=own, discrete=self.discrete,
+            posterior=self.posterior, model=self.model, sampled=s,
         )  # fmt: skip
 
 

@@ -96,6 +96,7 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
     root = deviation[:, None] * mix * (1 + spread)
     theta = np.sqrt(np.maximum(np.diag(functions.covariance), 1e-30))
     target = rng.standard_normal(n["n_r"]) * min(spread, 1.0)
+    between = np.sqrt(np.diag(functions.adapted.covariance))
     return {
         "x": x, "u": u, "p": p, "z": z,
         "x2": np.asarray(boxplus(x, 0.1 * size * rng.standard_normal(n["n_d"]))).ravel(),
@@ -106,6 +107,8 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
         "K": 0.1 * command[:, None] / size[None, :] * rng.standard_normal((n["n_u"], n["n_d"])),
         "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
         "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
+        "G": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_a"])) / np.maximum(between, 1e-30),
+        "V": functions.adapted.covariance * min(1.0, 0.2 + spread), "memory": np.array([30.0 * spread]),
         "lam": rng.standard_normal(n["n_x"]) / scale,
         "r": target,
     }  # fmt: skip

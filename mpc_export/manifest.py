@@ -66,6 +66,10 @@ def manifest_of(
         "values": {k: float(v) for k, v in sorted(f.sampled.values.items())},
         "flight_spread": {k: list(v) for k, v in model.flight_spread.items()} if isinstance(model, IdentifiedModel) else {},
         "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
+        "adapted": {
+            "names": list(f.adapted.names), "covariance": f.adapted.covariance, "start": f.adapted.start,
+            "lower": f.adapted.lower, "upper": f.adapted.upper, "state_limits": dict(f.adapted.limits),
+        },
         "noise": {
             "process": f.noise.process, "gain": f.noise.gain, "innovation": f.noise.innovation,
             "predicted": f.noise.covariance,

@@ -49,6 +49,8 @@ is what a flight controller that holds it has at hand; without it nobody could k
 EULER = ("roll", "pitch", "yaw")
 TRAIN, VALIDATION, TEST = (0.0, 20.0), (20.0, 25.0), (25.0, 30.0)
 """Parts of the record [s]."""
+SHORT = (15.0, 20.0)
+"""A quarter of the training part, which holds the whole repertoire once: how much worse does a method get on it?"""
 DT = 0.01
 BLOCK = 5.0
 WARM_UP = 3.0

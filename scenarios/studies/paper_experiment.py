@@ -19,10 +19,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greybox.files import read_json, write_json
-from scenarios.studies.paper_data import TEST, paper_data
+from scenarios.studies.paper_data import SHORT, TEST, TRAIN, paper_data
 from scenarios.studies.paper_figures import draw
-from scenarios.studies.paper_methods import LEAKS, METHODS, Bench, Outcome
-from scenarios.studies.paper_scores import FLOOR, floor, scores, table, verdict
+from scenarios.studies.paper_methods import LEAKS, METHODS, Bench, Outcome, training_claim
+from scenarios.studies.paper_scores import FLOOR, floor, qualities, scores, table, verdict
 
 SCHEMA = "greybox.paper_experiment/1"
 
@@ -33,12 +33,15 @@ def run_seed(
     methods: Mapping[str, Callable[[Bench], Outcome]],
     *,
     noise: bool = True,
+    train: tuple[float, float] = TRAIN,
     budget: int = 4,
     again: Sequence[str] = (),
+    claim: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Results of one seed: what the folder already has, plus what is missing (or named in `again`), written back."""
     stem = f"seed{seed}" if noise else f"quiet{seed}"
+    stem = stem if train == TRAIN else f"short{seed}"
     path, arrays = folder / f"{stem}.json", folder / f"{stem}.npz"
     result: dict[str, Any] = {"schema": SCHEMA, "seed": seed, "noise": noise, "budget": budget, "methods": {}}
     kept: dict[str, np.ndarray] = {}
@@ -47,11 +50,15 @@ def run_seed(
         if arrays.exists():
             with np.load(arrays, allow_pickle=False) as file:
                 kept = {name: file[name] for name in file.files}
+    if claim and "claim" not in result:
+        with threadpool_limits(limits=1):
+            result["claim"] = training_claim(Bench(data=paper_data(seed, noise=noise), train=train))
+        write_json(path, result)
     missing = [name for name in methods if name not in result["methods"] or name in again]
     if not missing:
         return result
     data = paper_data(seed, noise=noise)
-    bench = Bench(data=data, budget=budget)
+    bench = Bench(data=data, budget=budget, train=train)
     result["methods"][FLOOR] = floor(data)
     for name in missing:
         with threadpool_limits(limits=1):
@@ -72,7 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--quiet-seeds", type=int, default=1, help="seeds of the run without noise")
+    parser.add_argument("--short-seeds", type=int, default=1, help="seeds of the run on a quarter of the training data")
     parser.add_argument("--budget", type=int, default=4, help="candidates per method with choices")
+    parser.add_argument("--claim", action="store_true", help="time a GP on the outputs against one on the residual")
     parser.add_argument("--methods", help="only these, separated by commas")
     parser.add_argument("--again", default="", help="compute these anew")
     parser.add_argument("--out", default="paper_experiment", metavar="DIR")
@@ -91,18 +100,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(text, flush=True)
 
     seeds = range(options.first, options.first + options.seeds)
-    results = [run_seed(s, folder, picked, budget=options.budget, again=again, say=say) for s in seeds]
+    results = [
+        run_seed(s, folder, picked, budget=options.budget, again=again, claim=options.claim, say=say) for s in seeds
+    ]
     # A leak of y needs no second run without noise, and the floor there is zero.
     honest = {n: f for n, f in picked.items() if n in METHODS}
     quiet = [
         run_seed(s, folder, honest, noise=False, budget=options.budget, again=again, say=say)
         for s in list(seeds)[: options.quiet_seeds]
     ]
+    short = [
+        run_seed(s, folder, honest, train=SHORT, budget=options.budget, again=again, say=say)
+        for s in list(seeds)[: options.short_seeds]
+    ]
     hybrids = [n for n in METHODS if n.startswith("hybrid")]
     others = [n for n in METHODS if n not in hybrids]
     print(f"\nTest part, one step ahead, {len(results)} seeds; std: in units of the training variance\n")
     print(table(results, list(METHODS)))
     print(f"\n{verdict(results, hybrids, others)}")
+    print(f"\nQualities, {len(results)} seeds; data need: {len(short)} seed(s) trained on {SHORT[0]:g} to {SHORT[1]:g} s\n")
+    print(qualities(results, short, list(METHODS)))
+    for row in (r["claim"] for r in results if "claim" in r):
+        print(f"\nThe same GP on the outputs {row['output']:.1f} s, on the residual {row['residual']:.1f} s of CPU")
     print("\nNot methods: they see measurements of the instant that they predict\n")
     print(table(results, list(LEAKS)))
     print(f"\nWithout sensor and process noise, {len(quiet)} seed(s)\n")

@@ -1,4 +1,5 @@
-"""Figures of the paper's experiment: prediction against truth with two-sigma bands, and sigma against manoeuvres."""
+"""Figures of the paper's experiment: prediction against truth with two-sigma bands, sigma against manoeuvres, and
+histograms of the errors in the sigma that each method states."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ UNITS = ("rad/s", "rad/s", "rad/s", "m/s$^2$", "m/s$^2$", "m/s$^2$")
 def draw(
     folder: Path, data: PaperData, predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 ) -> list[Path]:
-    """One figure per method (all outputs) and one of sigma over time; predictions: mean and variance (n_test, 6)."""
+    """One figure per method (all outputs), one of sigma over time and one of histograms; predictions: mean and variance
+    (n_test, 6)."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -56,7 +58,32 @@ def draw(
     written.append(folder / f"sigma-seed{data.seed}.png")
     figure.savefig(written[-1], dpi=110)
     pyplot.close(figure)
+    written.append(_histograms(folder, data, predictions))
     return written
+
+
+def _histograms(
+    folder: Path, data: PaperData, predictions: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> Path:
+    """Errors over their stated sigma, one panel per output; the curve is what honest Gaussian errors follow."""
+    from matplotlib import pyplot
+
+    seen, edges = data.segment.matrix(OUTPUTS)[data.rows(TEST)], np.linspace(-5.0, 5.0, 41)
+    figure, axes = pyplot.subplots(2, 3, figsize=(9, 5), sharex=True, sharey=True, constrained_layout=True)
+    fine = np.linspace(-5.0, 5.0, 201)
+    for i, axis in enumerate(axes.flat):
+        for name, (mean, variance) in predictions.items():
+            error = np.clip((seen - mean)[:, i] / np.sqrt(variance[:, i]), edges[0], edges[-1])
+            axis.hist(error, edges, density=True, histtype="step", lw=0.9, label=name)
+        axis.plot(fine, np.exp(-0.5 * fine**2) / np.sqrt(2 * np.pi), color="k", lw=0.8)
+        axis.set_title(OUTPUTS[i], fontsize=8)
+    axes[0, 0].legend(fontsize=6)
+    for axis in axes[-1]:
+        axis.set_xlabel("error / stated sigma")
+    path = folder / f"histograms-seed{data.seed}.png"
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+    return path
 
 
 def _file(name: str) -> str:

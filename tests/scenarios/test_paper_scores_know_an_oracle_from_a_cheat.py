@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scenarios.studies import paper_experiment
 from scenarios.studies.paper_data import OUTPUTS, TEST, paper_data
-from scenarios.studies.paper_methods import LEAKS, METHODS, Outcome
-from scenarios.studies.paper_scores import FLOOR, PAPER, floor, intensity, scores, table, verdict
+from scenarios.studies.paper_methods import HORIZON, LEAKS, METHODS, ORIGINS, Outcome
+from scenarios.studies.paper_scores import FLOOR, PAPER, floor, intensity, qualities, scores, table, verdict
 
 
 def outcome(mean, variance):
@@ -71,6 +72,34 @@ def test_a_sigma_that_grows_with_the_manoeuvre_is_seen(data):
     assert scores(data, outcome(data.truth.y, grows))["sigma_follows_intensity"] == pytest.approx(1.0)
 
 
+def test_errors_left_are_white_for_an_oracle_and_coloured_for_what_lags_behind(data):
+    truth, sensor = data.truth.y, data.truth.sensor
+    right, late = (scores(data, outcome(mean, sensor)) for mean in (truth, np.roll(truth, 3, axis=0)))
+    assert right["coloured"] <= 1 and late["coloured"] == 6
+    assert late["correlation"] > 3 * right["correlation"]
+    assert late["mse_truth_hard"] > late["mse_truth_calm"] > 0
+
+
+def test_a_free_run_is_held_against_the_truth_at_its_own_instant(data):
+    ahead = data.truth.y[ORIGINS[:, None] + 1 + np.arange(HORIZON)]
+    told = replace(outcome(data.truth.y, data.truth.sensor), ahead=ahead)
+    assert scores(data, told)["free_0.1"] == scores(data, told)["free_0.5"] == 0.0
+    assert scores(data, outcome(data.truth.y, data.truth.sensor))["free_0.5"] is None
+
+
+def test_qualities_are_ratios_of_what_was_measured():
+    def row(**changes):
+        return {
+            "mse_truth": 1.0, "mse_truth_hard": 2.0, "mse_truth_calm": 1.0, "named": 3, "parameters": 9,
+            "coverage95": 0.9, "sigma_follows_intensity": None, "seconds": 4.0, "microseconds": 50.0,
+        } | changes  # fmt: skip
+
+    whole = {"seed": 1, "methods": {"PEM linear MIMO": row(), "GP": row(mse_truth_hard=0.5)}}
+    less = {"seed": 1, "methods": {"GP": row(mse_truth=3.0)}}
+    line = qualities([whole], [less], ["GP"]).splitlines()[1].split()
+    assert line == ["GP", "3/9", "0.900", "nan", "0.25", "1.00", "3.00", "4.0", "20000"]
+
+
 def test_results_are_kept_per_method_and_only_the_missing_is_computed(tmp_path):
     called = []
 
@@ -97,13 +126,15 @@ def test_the_whole_study_runs_prints_and_draws(tmp_path, monkeypatch, capsys):
     """With quick stand-ins for the methods; what it prints is the table, the verdict, and the leaks apart."""
     monkeypatch.setattr(paper_experiment, "METHODS", {"GP": mean, "hybrid nonlinear": oracle})
     monkeypatch.setattr(paper_experiment, "LEAKS", {"cheat": cheat})
-    paper_experiment.main(["--seeds", "1", "--first", "2", "--quiet-seeds", "0", "--out", str(tmp_path)])
+    few = ["--seeds", "1", "--first", "2", "--quiet-seeds", "0", "--short-seeds", "0"]
+    paper_experiment.main([*few, "--out", str(tmp_path)])
     said = capsys.readouterr().out
     assert "lowest test MSE in 1 of 1 seeds" in said
     assert "1.76e-03" in said, "the paper's number stands beside ours"
     assert FLOOR in said and "cheat" in said
     assert (tmp_path / "sigma-seed2.png").stat().st_size > 10_000
     assert (tmp_path / "prediction-hybrid-nonlinear-seed2.png").exists()
+    assert (tmp_path / "histograms-seed2.png").stat().st_size > 5_000
     with pytest.raises(SystemExit):
         paper_experiment.main(["--methods", "horoscope", "--out", str(tmp_path)])
     assert "horoscope" in capsys.readouterr().err

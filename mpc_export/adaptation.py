@@ -1,0 +1,234 @@
+"""adapt_step: the identified filter that learns the flight's own parameters, and on request the learned weights, in flight.
+
+    psi = C G + H,   Z = S + psi V psi',   d = V psi' Z^-1 e                 what the innovation says of theta
+    theta+ = bounded(theta + d),   x~ = x boxplus G (theta+ - theta)
+    x_next = f_d(x~, u, theta+) boxplus K (e - psi (theta+ - theta))
+    G_next = A G + P - K psi,   V_next = V - V psi' Z^-1 psi V
+
+G (n_d, n_a) is how the predicted state depends on theta, V (n_a, n_a) the covariance of theta. For constant theta and a
+filter that has settled this is the Kalman filter of state and parameters in two parts (Friedland 1969, IEEE
+Transactions on Automatic Control 14(4)), and the recursive form of the batch estimate in innovation form (Ljung 1999,
+System Identification, section 11.4). It costs the size of G, not that of the joint covariance.
+
+The start of the flight is not known as well as a settled filter knows its state. What it is off by, d_0 (start.* of the
+error states, where the start is less certain), is estimated with theta and fades with the columns of G, whose first
+value is `start`.
+
+Forgetting: theta is a Gauss-Markov process whose stationary mean and spread are those of the training flights. After
+`memory` seconds without information theta is back at 1/e of its distance from the mean; V never exceeds the spread from
+flight to flight, however long nothing is learned. memory = 0: theta is constant, as in the fit. The discrepancy is a
+state of the model (disturbance.*): it forgets by its own identified time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+
+from greybox.errors import ModelError
+from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import physics_of
+from greybox.residual.feature_posterior import FeaturePosterior
+from greybox.residual.posterior import GPPosterior
+from greybox.symbolic import Expr, FloatArray, Layout
+from mpc_export.dense import cholesky
+
+UNBOUNDED = 1e30
+STEADY = 50
+"""Samples of a steady flight that a start is read off."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Adapted:
+    """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in p, then the error of
+    the start; the `mean` (n_t) of theta over the training flights, the `covariance` (n_a, n_a) before the flight (between
+    flights; of learned weights their posterior's; of the start beyond that of the filter), and bounds (n_t,).
+
+    `start` (n_d, n_a) is the first G. `limits` maps states that are bounded too, to their largest size.
+    """
+
+    names: tuple[str, ...] = ()
+    rows: tuple[int, ...] = ()
+    mean: FloatArray
+    start: FloatArray
+    covariance: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    limits: Mapping[str, float]
+
+
+NOTHING = Adapted(
+    mean=np.zeros(0), start=np.zeros((0, 0)), covariance=np.zeros((0, 0)), lower=np.zeros(0), upper=np.zeros(0), limits={},
+)  # fmt: skip
+
+
+def flight_parameters(model: Any) -> tuple[str, ...]:
+    """The parameters whose values differ from flight to flight. Raises `ModelError` for another kind of model."""
+    if not isinstance(model, IdentifiedModel):
+        raise ModelError(
+            "adapt needs the physics model of a fit, or a hybrid on it", got=model.name, fix="leave adapt out of --with"
+        )
+    own = {d.name for d in model.dynamics.parameters}
+    return tuple(n for n, (_, s) in model.flight_spread.items() if n in own and s > 0 and math.isfinite(s))
+
+
+def adapted(
+    model: IdentifiedModel, p: Layout, values: FloatArray, weights: GPPosterior | FeaturePosterior | None,
+    filtered: FloatArray,
+) -> Adapted:  # fmt: skip
+    """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs where they are in p.
+
+    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled filter. Raises
+    `ModelError` where nothing is adapted.
+    """
+    names = list(flight_parameters(model))
+    declared = {d.name: d for d in model.dynamics.parameters}
+    covariance = [np.array([[model.flight_spread[n][1] ** 2]]) for n in names]
+    low, high = [], []
+    for d in (declared[n] for n in names):
+        far = d.possible if d.null is not None else math.inf
+        null = d.null or 0.0
+        low.append(max(d.lower, null - far, -UNBOUNDED))
+        high.append(min(d.upper, null + far, UNBOUNDED))
+    if weights is not None:
+        for j, output in enumerate(weights.outputs.names):
+            if weights.active[j]:
+                names += [n for n in p.names if n.startswith(f"gp.weights.{output}.")]
+                covariance.append(weight_covariance(weights, j))
+    if not names:
+        raise ModelError(
+            "adapt: no parameter of this model differs between its training flights",
+            expected="per-flight parameters (`greybox fit --per-flight`, several flights) or --runtime gp.weights",
+            fix="leave adapt out of --with: filter_step follows the disturbance states without it",
+        )
+    extra = len(names) - len(low)
+    rows = tuple(p[n] for n in names)
+    unknown = start_excess(model, np.diag(filtered))
+    errors = np.flatnonzero(unknown)
+    names += [f"start.{model.dynamics.error_states.names[i].removeprefix('d_')}" for i in errors]
+    start = np.zeros((len(filtered), len(names)))
+    start[errors, range(len(rows), len(names))] = 1.0
+    return Adapted(
+        names=tuple(names), rows=rows, mean=values[list(rows)], start=start,
+        covariance=scipy.linalg.block_diag(*covariance, np.diag(unknown[errors])),
+        lower=np.array([*low, *[-UNBOUNDED] * extra]), upper=np.array([*high, *[UNBOUNDED] * extra]),
+        limits=authority(model),
+    )  # fmt: skip
+
+
+def start_excess(model: IdentifiedModel, filtered: FloatArray) -> FloatArray:
+    """Variance (n_own,) of a start that is read off its first measurements beyond that of the settled filter (n_d,)."""
+    d = model.dynamics
+    u = np.repeat(model.reference_inputs[:, None], sum(d.window) + 1, axis=1)
+    p, w = ca.DM(model.parameter_vector()), ca.DM.zeros(len(d.noises))
+    y = np.array(ca.DM(d.output(0, ca.DM(model.reference_state), ca.DM(u), p, w, model.sample_time)))
+    columns = dict(zip((*d.outputs.names, *d.inputs.names), (*y.ravel(), *model.reference_inputs), strict=True))
+    samples = {n: np.full(STEADY, v) for n, v in columns.items()} | {"t": model.sample_time * np.arange(STEADY)}
+    sigma = d.initial_state(samples)[1]
+    return np.asarray(np.maximum(sigma**2 - filtered[: len(sigma)], 0.0))
+
+
+def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) -> FloatArray:
+    """Covariance (M, M) of the weights of one output, in the standardised units in which they are stored."""
+    if isinstance(posterior, FeaturePosterior):
+        return np.asarray(posterior.root[output].T @ posterior.root[output])
+    # Between the support points the prior's conditional variance is nobody's to learn; at them it is L2' L2, and for an
+    # exact process, whose L1 takes more than the prior away, the difference.
+    z, first, second = posterior.support.T, posterior.explained[output], posterior.uncertain[output]
+    at = posterior.kernels[output].covariance(z, z)
+    values = at - at @ first.T @ first @ at + at @ second.T @ second @ at
+    inverse = np.linalg.pinv(at, hermitian=True, rcond=1e-10)
+    found = inverse @ values @ inverse * posterior.variance_factor[output]
+    return np.asarray(0.5 * (found + found.T))
+
+
+def authority(model: IdentifiedModel) -> dict[str, float]:
+    """State -> largest size [N, N m] of a disturbance force or torque that the rotors could hold against."""
+    physics = physics_of(model.dynamics)
+    if physics is None:
+        return {}
+    thrust, torque = (sum(model.values[f"{kind}.c{k}"] for k in range(3)) for kind in ("thrust", "torque"))
+    places = np.array([r.position for r in physics.vehicle.rotors], dtype=float)
+    force, about = len(places) * thrust, np.abs(places).sum(axis=0) * thrust
+    most = {f"force.{a}": force for a in "xyz"}
+    most |= {"torque.x": about[1], "torque.y": about[0], "torque.z": len(places) * abs(torque)}
+    return {f"disturbance.{n}": float(v) for n, v in most.items() if v > 0}
+
+
+def adapt_function(functions: Mapping[str, Any], innovation: Any, own: Adapted, states: Layout, dt: float) -> Any:
+    """adapt_step(x, u, p, y, there, G, V, memory) -> x_next, p_next, G_next, V_next, e, y_hat.
+
+    `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
+    """
+    n_a, n_t, n_d = len(own.names), len(own.rows), functions["f_d_jac"].size1_out("A")
+    n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
+    x, u, p = (ca.MX.sym(n, functions["f_d"].numel_in(n)) for n in ("x", "u", "p"))
+    y, there, memory = ca.MX.sym("y", n_y), ca.MX.sym("there", n_e), ca.MX.sym("memory")
+    g, v = ca.MX.sym("G", n_d, n_a), ca.MX.sym("V", n_a, n_a)
+    rows = list(own.rows)
+    seen, c, _, h = functions["h_jac"](x, u, p)
+    gain, spread = functions["innovation_gain"](there)
+    found = innovation(y, seen, x)
+    on = ca.if_else(there != 0, 1.0, 0.0)
+    e = ca.if_else(there != 0, found, 0.0)
+    psi = ca.repmat(on, 1, n_a) * (c @ g + _widened(h[:, rows], n_a))
+    through = psi @ v
+    scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
+    across, left = scaled[:, :n_a], scaled[:, n_a]
+    said = across.T @ left
+    theta = _between(p[rows] + said[:n_t], own.lower, own.upper)
+    moved = ca.vertcat(theta - p[rows], said[n_t:])
+    # After the measurement, before time goes on.
+    at = functions["boxplus"](x, g @ moved)
+    q = ca.MX(p)
+    q[rows] = theta
+    after, a, _, by = functions["f_d_jac"](at, u, q)
+    after = functions["boxplus"](after, gain @ (e - psi @ moved))
+    keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
+    q[rows] = own.mean + keep * (theta - own.mean)
+    # What the start was off by is no process: it is not drawn anew.
+    each = ca.vertcat(ca.repmat(keep, n_t, 1), ca.DM.ones(n_a - n_t, 1))
+    v_next = (each @ each.T) * (v - across.T @ across) + ca.diag(1 - each**2) @ ca.DM(own.covariance)
+    g_next = a @ g + _widened(by[:, rows], n_a) - gain @ psi
+    results = [_limited(after, own, states), q, g_next, v_next, found, seen]
+    return ca.Function(
+        "adapt_step", [x, u, p, y, there, g, v, memory], [ca.densify(r) for r in results],
+        ["x", "u", "p", "y", "there", "G", "V", "memory"], ["x_next", "p_next", "G_next", "V_next", "e", "y_hat"],
+    )  # fmt: skip
+
+
+def _widened(columns: Expr, n: int) -> Expr:
+    """The columns, and zeros up to n of them."""
+    return ca.horzcat(columns, ca.MX(columns.shape[0], n - columns.shape[1]))
+
+
+def _whitened(n: int, m: int) -> Any:
+    """(Z (n, n), B (n, m + 1)) -> L^-1 B with L L' = Z."""
+    z, b = ca.SX.sym("Z", n, n), ca.SX.sym("B", n, m + 1)
+    low = cholesky(z)
+    out: list[Expr] = []
+    for i in range(n):
+        rest = b[i, :]
+        for k in range(i):
+            rest = rest - low[i][k] * out[k]
+        out.append(rest / low[i][i])
+    return ca.Function("whitened", [z, b], [ca.densify(ca.vertcat(*out))])
+
+
+def _between(value: Expr, lower: FloatArray, upper: FloatArray) -> Expr:
+    """value, at most `upper` and at least `lower`; what is not a number stays so."""
+    return ca.if_else(value < lower, lower, ca.if_else(value > upper, upper, value))
+
+
+def _limited(x: Expr, own: Adapted, states: Layout) -> Expr:
+    """x with its disturbances inside what the rotors could hold against."""
+    out = ca.MX(x)
+    for row, most in ((states[n], m) for n, m in own.limits.items() if n in states.names):
+        out[row] = _between(x[row], np.array(-most), np.array(most))
+    return out

@@ -1,0 +1,201 @@
+"""adapt_step finds in one pass what the batch fit of the flight finds, in C as in CasADi, and stays inside the physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from greybox.errors import ModelError
+from greybox.estimation.filtering import Filter
+from greybox.estimation.record import make_record
+from greybox.model.noise import with_disturbance
+from greybox.residual.hybrid import HybridModel
+from greybox.validation.adapt import adapt_to_flight
+from mpc_export.bundle import write_bundle
+from mpc_export.functions import model_functions
+from mpc_export.verify import main as verify
+from tests.mpc_export import cases, compiled
+from tests.residual import hybrid_cases
+from tests.validation.test_validate_judges_causally import DT, dataset, fly, make_model
+
+TRUE = {"accelerometer_bias.b_x": 0.25, "accelerometer_bias.b_y": -0.3, "mass": 0.045}
+
+
+def craft():
+    """Accelerometer biases and the mass differ from flight to flight."""
+    own = make_model()
+    return replace(own, flight_spread={**own.flight_spread, "mass": (own.values["mass"], 0.1 * own.values["mass"])})
+
+
+@pytest.fixture(scope="module")
+def functions():
+    return model_functions(craft(), with_=("adapt",))
+
+
+def start(functions, segment):
+    """x, p, G, V before the first sample, as a user has them."""
+    x = functions.reference[0].copy()
+    own = make_record(Filter(functions.model, use_compiler=False).engine, segment).x0
+    x[: len(own)] = own
+    return x, functions.parameter_values.copy(), functions.adapted.start.copy(), functions.adapted.covariance.copy()
+
+
+def flown(functions, segment, step=None, *, memory=0.0, there=None):
+    """Adapted parameters (n, n_a), the last covariance and state, after one pass over a flight."""
+    call = step or functions["adapt_step"]
+    x, p, g, v = start(functions, segment)
+    u = segment.matrix(functions.inputs.names)
+    y = segment.matrix(functions.outputs.names)
+    seen = np.ones((segment.n, functions.sizes["n_e"])) if there is None else there
+    rows = list(functions.adapted.rows)
+    found = []
+    for k in range(segment.n):
+        x, p, g, v, _, _ = (np.array(r) for r in call(x, u[k], p, y[k], seen[k], g, v, memory))
+        x, p = x.ravel(), p.ravel()
+        found.append(p[rows])
+    return np.array(found), v, x
+
+
+def test_one_pass_gives_the_numbers_of_the_batch_fit(functions):
+    """Maximum a posteriori over the whole flight, with the same filter and the same prior."""
+    segment = fly(functions.model, 400, noise=1.0, changes=TRUE)
+    batch = adapt_to_flight(functions.model, dataset(segment)["f"], 400 * DT, use_compiler=False)
+    found, covariance, _ = flown(functions, segment)
+    std = dict(zip(functions.adapted.names, np.sqrt(np.diag(covariance)), strict=True))
+    last = dict(zip(functions.adapted.names, found[-1]))
+    for name, true in TRUE.items():
+        assert last[name] == pytest.approx(batch.values[name], rel=0.02)
+        assert std[name] == pytest.approx(batch.std[name], rel=0.02)
+        assert abs(last[name] - true) < 4 * std[name]
+    still = "accelerometer_bias.b_z"
+    assert abs(last[still] - batch.values[still]) < 0.5 * batch.std[still]
+
+
+def test_learned_weights_get_the_numbers_of_their_batch_fit():
+    """Of a pendulum with a learned torque: weights by Gauss-Newton on the filter's innovations, with the prior."""
+    base = hybrid_cases.pendulum_model()
+    push = hybrid_cases.push(base.dynamics, ("rate",), ("rate",), points=4)
+    push = replace(push, output_scale=np.array([0.5]))
+    model = replace(base, dynamics=HybridModel(inner=base.dynamics, posterior=push), trained_on=())
+    functions = model_functions(model, with_=("adapt",), runtime_parameters=("gp.weights",))
+    own = functions.adapted
+    assert own.names[:4] == tuple(f"gp.weights.rate.{i + 1}" for i in range(4))
+    segment = hybrid_cases.swings(1, 3, hidden=0.1, period=3.0, seconds=6.0).flights[0].segments[0]
+    found, covariance, _ = flown(functions, segment)
+    root = np.linalg.inv(np.linalg.cholesky(own.covariance + 1e-12 * np.eye(len(own.names))))
+    size = np.linalg.inv(np.linalg.cholesky(functions.noise.innovation))
+    prior = np.concatenate([own.mean, np.zeros(len(own.names) - 4)])
+
+    def left(theta):
+        x, p, g, _ = start(functions, segment)
+        p[list(own.rows)] = theta[:4]
+        x = np.array(functions["boxplus"](x, g[:, 4:] @ theta[4:])).ravel()
+        out = []
+        for u, y in zip(segment.matrix(("u",)), segment.matrix(("y", "w")), strict=True):
+            after, e, _ = functions["filter_step"](x, u, p, y, np.ones(2))
+            x = np.array(after).ravel()
+            out.append(size @ np.array(e).ravel())
+        return np.concatenate([*out, root @ (theta - prior)])
+
+    batch = scipy.optimize.least_squares(left, prior, max_nfev=4)
+    std = np.sqrt(np.diag(np.linalg.inv(batch.jac.T @ batch.jac)))[:4]
+    assert np.sqrt(np.diag(covariance))[:4] == pytest.approx(std, rel=0.03)
+    assert np.abs(found[-1] - own.mean).max() > 2 * std.min(), "the flight had something to say"
+    assert np.abs(found[-1] - batch.x[:4]).max() < 0.15 * std.max()
+
+
+def test_a_change_in_flight_is_followed_with_a_memory_and_averaged_without(functions):
+    model = functions.model
+    first, second = (fly(model, 800, noise=1.0, seed=s, changes={"mass": m}) for s, m in ((1, 0.042), (2, 0.046)))
+    both = first.replace(
+        {n: np.concatenate([first.channels[n][:400], second.channels[n][400:]]) for n in first.channels}
+    )
+    at = functions.adapted.names.index("mass")
+    with_memory, without = (flown(functions, both, memory=m)[0][-1, at] for m in (2.0, 0.0))
+    assert with_memory == pytest.approx(0.046, rel=0.02)
+    assert abs(without - 0.046) > 3 * abs(with_memory - 0.046)
+
+
+def test_nothing_measured_leaves_the_spread_between_flights(functions):
+    segment = fly(functions.model, 300, noise=1.0, changes=TRUE)
+    blind = np.ones((300, functions.sizes["n_e"]))
+    blind[150:] = 0.0
+    found, covariance, _ = flown(functions, segment, memory=0.2, there=blind)
+    n = len(functions.adapted.rows)
+    np.testing.assert_allclose(covariance[:n, :n], functions.adapted.covariance[:n, :n], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(found[-1], functions.adapted.mean, rtol=1e-3, atol=1e-3)
+
+
+def test_a_missing_reading_may_be_anything(functions):
+    segment = fly(functions.model, 50, noise=1.0, changes=TRUE)
+    there = np.ones((50, functions.sizes["n_e"]))
+    there[:, functions.innovations.names.index("ax")] = 0.0
+    broken = segment.replace({**segment.channels, "ax": np.full(50, np.nan)})
+    plain = flown(functions, segment, there=there)
+    for a, b in zip(plain, flown(functions, broken, there=there), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_wild_readings_leave_parameters_and_discrepancy_inside_the_physics():
+    model = craft()
+    pushed = with_disturbance(model.dynamics, ("force", "torque"), time=2.0)
+    model = replace(
+        hybrid_cases.craft_model(pushed), flight_spread=model.flight_spread, reference_inputs=model.reference_inputs,
+        sample_time=DT, reference_state=pushed.reference({f"u{i}": 0.849 for i in range(1, 5)}),
+    )  # fmt: skip
+    functions = model_functions(model, with_=("adapt",))
+    own = functions.adapted
+    x, p, g, v = start(functions, fly(make_model(), 3))
+    rng = np.random.default_rng(0)
+    limited = {functions.states[n]: most for n, most in own.limits.items()}
+    assert len(limited) == 6
+    hover = np.array(functions["h"](x, np.full(4, 0.8), p)).ravel()
+    u, there, touched = np.full(4, 0.8), np.ones(len(functions.innovations)), False
+    for _ in range(200):
+        y = hover + 3.0 * rng.standard_normal(functions.sizes["n_y"])
+        found = functions["adapt_step"](x, u, p, y, there, g, v, 5.0)
+        x, p, g, v = (np.array(r) for r in found[:4])
+        theta = p.ravel()[list(own.rows)]
+        assert np.isfinite(x).all() and np.isfinite(v).all()
+        assert (theta >= own.lower).all() and (theta <= own.upper).all()
+        assert all(abs(x.ravel()[i]) <= most for i, most in limited.items())
+        assert np.linalg.eigvalsh(v).min() > -1e-12 * np.abs(v).max()
+        touched |= any(abs(x.ravel()[i]) == most for i, most in limited.items())
+    assert touched
+
+
+def test_the_plain_export_adapts_in_c(tmp_path, functions):
+    compiled.needs_compiler()
+    bundle = write_bundle(craft(), tmp_path / "own", targets=("c",), with_=("adapt",), use_cache=False)
+    library = compiled.load(bundle, compiled.compile_library(bundle, tmp_path / "lib", "gcc", "-O0"))
+    entry = next(f for f in bundle.manifest["functions"] if f["name"] == "adapt_step")
+
+    def in_c(*arguments):
+        given = [np.ravel(a, order="F").astype(float).tolist() for a in arguments]
+        shapes = [(r["rows"], r["columns"]) for r in entry["results"]]
+        return [np.reshape(r, s, order="F") for r, s in zip(library.call(entry, given), shapes, strict=True)]
+
+    segment = fly(functions.model, 60, noise=1.0, changes=TRUE)
+    c, casadi = (flown(functions, segment, step)[0] for step in (in_c, None))
+    np.testing.assert_allclose(c, casadi, rtol=1e-9, atol=1e-11)
+    header = (bundle.folder / "c" / "own_model.h").read_text()
+    assert "#define OWN_A_MASS" in header and f"own_adapted_start[{functions.adapted.start.size}]" in header
+    assert bundle.manifest["adapted"]["names"] == list(functions.adapted.names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_self_test_of_an_adaptive_bundle_passes(tmp_path, real):
+    compiled.needs_compiler()
+    bundle = write_bundle(craft(), tmp_path / "own", real=real, targets=("c",), with_=("adapt",), use_cache=False)
+    assert verify([str(bundle.folder)]) == 0
+
+
+def test_what_cannot_adapt_is_refused_in_one_line():
+    with pytest.raises(ModelError, match="no parameter of this model differs between its training flights"):
+        model_functions(replace(make_model(), flight_spread={}), with_=("adapt",))
+    with pytest.raises(ModelError, match="adapt needs the physics model"):
+        model_functions(cases.linear(), with_=("adapt",))
