@@ -91,7 +91,7 @@ class Search:
         silent = unfelt(scores, self.flights) if self._holds_something(at) else []
         bare = not set(self.named(at.structure)) - self.flights.causes.base
         pairs = [p for p in silent if bare and len(p.causes) > 1]
-        fits = self._tried(at, scores, self.flights.contest(self._moves(at, pairs), at))
+        fits = self._tried(at, scores, pairs)
         if not any(self.score(f) > self.score(at) for f in fits):
             fits += self.flights.contest(self._moves(at, silent), _likeliest(at, fits))
         return self._best(at, fits, scores)
@@ -100,23 +100,26 @@ class Search:
         """Whether the unnamed force or torque clearly holds something."""
         return any(needed for _, needed in axis_gains(at, self.price).values())
 
-    def _tried(self, at: Fitted, scores: Scores, fits: list[Fitted]) -> list[Fitted]:
-        """Fits of what promises most, and those that there are: all that still gain next to each
-        other, single causes and pairs, colour of the sensors, until what one gained is more than the
-        next promises."""
+    def _tried(self, at: Fitted, scores: Scores, pairs: list[Proposal]) -> list[Fitted]:
+        """Fits of what promises most: all that still gain next to each other, single causes and
+        pairs, colour of the sensors, until what one gained is more than the next promises; and of
+        `pairs` that nothing can be said of, before colour, whose fits take longest."""
         chosen = self._sensors(at)
+        fits: list[Fitted] = []
         if len(self.named(at.structure)) < self.most:
             together = self._together(scores)
             promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
             chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
             unscored = self._moves(at, [typical(self.flights, n) for n in scores.unscored])
-            fits = fits + self.flights.contest(unscored, _likeliest(at, fits))
+            fits += self.flights.contest(unscored, at)
         for p in sorted(chosen, key=self._net, reverse=True):
+            if not p.start:
+                fits += self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
             gained = max((self.score(f) - self.score(at) for f in fits), default=0.0)
             if gained > 0 and gained >= self._net(p):
                 break
             fits += self.flights.contest(self._moves(at, [p]), _likeliest(at, fits))
-        return fits
+        return fits + self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
@@ -229,10 +232,7 @@ class Search:
     # ---------------------------------------------------------------- fits
 
     def _best(
-        self,
-        at: Fitted,
-        found: Iterable[Fitted],
-        scores: Scores | None = None,
+        self, at: Fitted, found: Iterable[Fitted], scores: Scores | None = None
     ) -> Fitted | None:
         fits = [f for f in found if np.isfinite(f.log_evidence)]
         best = max(fits, key=self.score, default=None)
