@@ -38,8 +38,10 @@ FALL = -0.375
 PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
-BEYOND = 4.0
-"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken."""
+BEYOND = 10.0
+"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken.
+Calibrated on 167 later steps of 23 fits in searches for causes (development seeds): 95 % of the optima were less deep than
+2.8 promises, 99 % than 10, the deepest 14. From starts at random, far from any optimum, tails are longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
