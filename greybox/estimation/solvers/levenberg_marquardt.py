@@ -216,7 +216,8 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     as fast as the steps are allowed to, not by a half in the logarithm.
 
     A factor moves by a factor, up to e: flights show ratios (thrust over mass), and what leaves all ratios as they are is a
-    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is.
+    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is;
+    another bound a factor would only near, so that a step there lands on it once it is near.
     """
     lower, level = problem.lower, is_level(problem)
     size = x - origins(problem)
@@ -226,6 +227,9 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     moved = step.copy()
     moved[factor] = size[factor] * np.expm1(share[factor])
     moved[level] = 0.5 * np.log1p(2.0 * step[level])
+    with np.errstate(invalid="ignore"):
+        there = factor & (x + step <= lower) & (x + moved - lower < 1e-3 * size)
+    moved[there] = (lower - x)[there]
     return np.clip(x + moved, lower, problem.upper)
 
 
