@@ -32,7 +32,7 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.search import Rival
-from greybox.estimation.solvers.levenberg_marquardt import BEYOND
+from greybox.estimation.status import Code
 from greybox.symbolic import FloatArray
 
 APART = 0.5
@@ -79,10 +79,8 @@ def splits(train: Flights, test: Dataset | None) -> list[Split]:
         return [Split(first=train, judge=train.on(new, flat=True), both=both)]
     one, other = halves(train.data)
     both = train if len(train.data.flights) > 1 else train.on(one + other)
-    return [
-        Split(first=train.on(a), judge=train.on(b, flat=True), both=both)
-        for a, b in ((one, other), (other, one))
-    ]
+    ways = (one, other), (other, one)
+    return [Split(first=train.on(a), judge=train.on(b, flat=True), both=both) for a, b in ways]
 
 
 def renamed(data: Dataset, taken: Sequence[str]) -> Dataset:
@@ -125,25 +123,23 @@ def halves(data: Dataset) -> tuple[Dataset, Dataset]:
 def certificates(
     at: Fitted, rivals: Mapping[str, Sequence[Rival]], judges: Sequence[Split], bar: float
 ) -> dict[str, Certificate]:
-    """Name -> certificate, of every name of `rivals` in the structure `at`. A rival whose evidence
-    on the flights that taught is hopelessly behind is not asked, but for doing without the name."""
+    """Name -> certificate, of every name of `rivals` in the structure `at`. Every rival is fitted to
+    the flights that judge until it cannot be the strongest: its e-value is then the least it has."""
     behind = judges[0].both.effort.behind
     out = {}
     for name, rows in rivals.items():
         found: dict[tuple[str, ...], float] = {}
         for rival in rows:
-            if rival.instead and rival.fitted.log_evidence < at.log_evidence - behind:
-                continue
-            log_e = _log_e(at, rival, judges, bar, rough=True)
-            if not np.isfinite([bar, log_e]).all() or abs(log_e - bar) < behind:
+            enough = max(bar, min(found.values(), default=np.inf))
+            log_e = _log_e(at, rival, judges, bar, enough)
+            far = np.isfinite([bar, log_e]).all() and abs(log_e - bar) >= behind
+            if log_e < enough and not far:
                 log_e = _log_e(at, rival, judges, bar)
             found[rival.instead] = log_e
         strongest = min(found, key=lambda r: found[r], default=())
         log_e = found[strongest] if found else -np.inf
         evidence = {r.instead: r.fitted.log_evidence - at.log_evidence for r in rows}
-        out[name] = Certificate(
-            name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence
-        )
+        out[name] = Certificate(name=name, log_e=log_e, against=strongest, rivals=found, evidence=evidence)
     return out
 
 
@@ -160,17 +156,24 @@ def certificates_beside(
 
 
 def _log_e(
-    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, *, rough: bool = False
+    at: Fitted, rival: Rival, judges: Sequence[Split], bar: float, enough: float | None = None
 ) -> float:
-    """Log e-value against one rival; below it where the strict one alone decides. `rough`: of fits
-    that stop a tenth before their optima, which is enough far from the bar."""
+    """Log e-value against one rival; below it where the strict one alone decides. With `enough` of
+    rough fits, which end a tenth before their optima or where the e-value is beyond that."""
+    rough, goal = enough is not None, np.inf if enough is None else enough + np.log(2)
     own = [_predictive(at, at, split, rough) for split in judges]
     gained = [_less(both.log_evidence - first.log_evidence, first, both) for first, both in own]
-    known = rival.fitted.known
-    start = [known, {**at.known, **known}]
-    worst = [s.judge.fit(rival.fitted.structure, start, rough=rough) for s in judges]
-    sides = zip(gained, worst, strict=True)
-    strict = _mean([_less(g + w.value.likelihood, w) for g, w in sides])
+    known, structure = rival.fitted.known, rival.fitted.structure
+    logs = []
+    for split, g in zip(judges, gained, strict=True):
+        start = [known, {**at.known, **known}]
+        worst = split.judge.fit(structure, start, rough=rough, target=goal - g)
+        log_e = _less(g + worst.value.likelihood, worst)
+        if log_e < goal and worst.status.code is Code.BEHIND:  # given up before that was certain
+            worst = split.judge.fit(structure, rough=rough)
+            log_e = _less(g + worst.value.likelihood, worst)
+        logs.append(log_e)
+    strict = _mean(logs)
     if strict >= bar + np.log(2):
         return strict - float(np.log(2))
     told = []
@@ -184,12 +187,11 @@ def _log_e(
 
 
 def _less(log_e: float, *fits: Fitted) -> float:
-    """A log e-value against which counts whatever its fits may still gain: one that ran out of
-    iterations is as far from its optimum as the full step from there promises, and more. Nothing
-    where a fit predicts nothing."""
+    """A log e-value against which counts whatever its fits may still gain. Nothing where a fit
+    predicts nothing."""
     if not all(f.value.valid for f in fits) or not np.isfinite(log_e):
         return -np.inf
-    return log_e - sum(BEYOND * f.status.decrement for f in fits if not f.comparable)
+    return log_e - sum(f.may_gain for f in fits)
 
 
 def _mean(logs: Sequence[float]) -> float:
@@ -197,9 +199,7 @@ def _mean(logs: Sequence[float]) -> float:
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
-def _predictive(
-    fitted: Fitted, at: Fitted, split: Split, rough: bool
-) -> tuple[Fitted, Fitted]:
+def _predictive(fitted: Fitted, at: Fitted, split: Split, rough: bool) -> tuple[Fitted, Fitted]:
     """A structure on the flights that taught, and on all."""
     known = fitted.known
     starts = [known] if fitted is at else [known, {**at.known, **known}]

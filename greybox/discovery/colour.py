@@ -39,22 +39,25 @@ def innovations_of(at: Fitted) -> dict[str, ChannelWhiteness]:
     return {c.name: c for c in test.channels}
 
 
-def sensor_proposals(at: Fitted, causes: Causes) -> list[Cause]:
-    """Colour of every sensor whose innovations are clearly not white, and a low-pass of those that
-    firmware filters; what is not felt goes again. None where all are white."""
+def sensor_proposals(at: Fitted, causes: Causes) -> tuple[list[Cause], float]:
+    """(colour of every sensor whose innovations are clearly not white, and a low-pass of those that
+    firmware filters; log likelihood that they promise together: what the channels' own past tells).
+    What is not felt goes again; none where all are white."""
     physics = physics_of(at.problem.dynamics)
     assert physics is not None
     tested = innovations_of(at)
     parts: list[SensorPart] = []
+    gain = 0.0
     for sensor in physics.sensors:
         own = [s.name for s in sensor.innovation_signals(physics.vehicle)]
         told = [tested[n] for n in own if n in tested]
         clear = [c.predictable for c in told if c.test.p_value < CLEARLY / len(tested)]
         if max(clear, default=0.0) > RULES.colour:
+            gain -= sum(0.5 * c.n * np.log1p(-c.predictable) for c in told)
             parts.append(Coloured(sensor=sensor.name))
             if sensor.name in FILTERED:
                 parts.append(LowPass(sensor=sensor.name))
-    return [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure]
+    return [sensor_cause(p, causes.model) for p in parts if p.name not in at.structure], gain
 
 
 def sensor_table(found: Fit) -> list[dict[str, Any]]:

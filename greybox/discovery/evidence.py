@@ -60,6 +60,12 @@ class Fitted:
         return self.status.converged or self.status.code is Code.NO_PROGRESS
 
     @property
+    def may_gain(self) -> float:
+        """Log likelihood that the optimum may lie above a fit that did not converge, however it
+        ended: `BEYOND` times what the full step from there promises."""
+        return 0.0 if self.status.converged else BEYOND * self.status.decrement
+
+    @property
     def known(self) -> dict[Key, float]:
         """All unknowns by name and flight."""
         pairs = zip(self.problem.unknowns, self.theta, strict=True)
@@ -171,9 +177,11 @@ class Flights:
         starts: Sequence[Start] = (),
         *,
         rough: bool = False,
+        target: float = np.inf,
     ) -> Fitted:
         """The structure at its maximum a posteriori, from the likeliest of `starts` (what they do
-        not say is as declared); `rough`: as near as fits are that are only compared."""
+        not say is as declared); `rough`: as near as fits are that are only compared; above the
+        `target`, a negative log likelihood, it is of no interest."""
         known = self._known.get(frozenset(structure))
         if known is not None and (known.exact or (rough and known.comparable)):
             return known
@@ -182,6 +190,7 @@ class Flights:
             starts=tuple(starts) if known is None else (known.known,),
             tolerance=self.effort.rough if rough else self.effort.exact,
             iterations=self.effort.iterations,
+            target=target,
         )
         return self._carried_out([again], exact=not rough)[0]
 
@@ -205,7 +214,7 @@ class Flights:
         best = max([than, *found()], key=lambda f: f.log_evidence)
         target = best.value.likelihood + e.behind
         on = [f for f in found() if not f.exact and f.status.code is Code.MAX_ITERATIONS]
-        on = [f for f in on if f.value.likelihood - target <= BEYOND * f.status.decrement]
+        on = [f for f in on if f.value.likelihood - target <= f.may_gain]
         goes_on = Task(
             structure=frozenset(),
             starts=(),
@@ -294,17 +303,13 @@ def choices(causes: Causes, options: FitOptions, structure: Structure) -> FitOpt
     )
 
 
-def problem_of(
-    causes: Causes, data: Dataset, options: FitOptions, structure: Structure
-) -> Problem:
+def problem_of(causes: Causes, data: Dataset, options: FitOptions, structure: Structure) -> Problem:
     """The unknowns and the cost of a structure. Raises `DataError`, `ModelError`."""
     model = causes.built(sorted(structure))
     return make_problem(model, data, choices(causes, options, structure))
 
 
-def solved(
-    causes: Causes, data: Dataset, options: FitOptions, task: Task
-) -> tuple[FloatArray, Status]:
+def solved(causes: Causes, data: Dataset, options: FitOptions, task: Task) -> tuple[FloatArray, Status]:
     """Carry out one task: (unknowns (n,), how the solver ended)."""
     with threadpool_limits(limits=1):
         problem = problem_of(causes.canonical(), data, options, task.structure)
@@ -313,9 +318,8 @@ def solved(
         start = offered[0]
         if len(offered) > 1:
             start = min(offered, key=lambda t: problem.evaluate(t, 0).cost)
-        solver = LevenbergMarquardt(
-            tolerance=task.tolerance, max_iterations=task.iterations, target=task.target
-        )
+        most = task.iterations
+        solver = LevenbergMarquardt(tolerance=task.tolerance, max_iterations=most, target=task.target)
         return solver.solve(problem, start)
 
 
@@ -345,9 +349,7 @@ def vector(problem: Problem, known: Mapping[Key, float]) -> FloatArray:
             return float(np.mean(others[name]))
         return start
 
-    return np.array(
-        [of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64
-    )
+    return np.array([of(u.name, u.flight, u.start, u.kind) for u in problem.unknowns], dtype=np.float64)
 
 
 Say = Callable[[str, float], None]

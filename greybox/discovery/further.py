@@ -70,8 +70,9 @@ def further(
     effects = []
     for effect in content["effects"]:
         rivals = _rivals(structure, effect, causes.effects)
-        worst = min(flat.fit(r, [told.known, start]).value.likelihood for r in rivals)
-        new = (told.log_evidence + worst) / LOG10
+        worst = [flat.fit(r, [told.known, start]) for r in rivals]
+        against = min(f.value.likelihood - f.may_gain for f in worst)
+        new = (told.log_evidence - told.may_gain + against) / LOG10
         total = effect["log10_e"] + new
         enough = total >= content["bar_log10_e"]
         status = "certified" if enough else effect["status"]

@@ -84,18 +84,15 @@ class Search:
     # ---------------------------------------------------------------- moves
 
     def _add(self, at: Fitted) -> Fitted | None:
-        """The structure with one cause, or several, more; or with noise of the sensors."""
-        coloured = self._best(at, self.flights.contest(self._sensors(at), at))
-        if coloured is not None:  # under white noise everything bends into the first candidates
-            return coloured
+        """The structure with one cause, or several, more, those of the sensors' noise among them."""
         scores = self.scores = scored(self.flights, at)
-        fits = self._tried(at, scores) if len(self.named(at.structure)) < self.most else []
-        gains = any(self.score(f) > self.score(at) for f in fits)
+        # What is not felt alone can only explain what is there and has no name. What acts with
+        # another only (a wind with a drag) is offered before others bend into its place.
+        silent = unfelt(scores, self.flights) if self._holds_something(at) else []
         bare = not set(self.named(at.structure)) - self.flights.causes.base
-        if (bare or not gains) and self._holds_something(at):
-            # What is not felt alone can only explain what is there and has no name. What acts with
-            # another only (a wind with a drag) is offered before others bend into its place.
-            silent = [p for p in unfelt(scores, self.flights) if not gains or len(p.causes) > 1]
+        pairs = [p for p in silent if bare and len(p.causes) > 1]
+        fits = self._tried(at, scores, pairs)
+        if not any(self.score(f) > self.score(at) for f in fits):
             fits += self.flights.contest(self._moves(at, silent), _likeliest(at, fits))
         return self._best(at, fits, scores)
 
@@ -103,31 +100,36 @@ class Search:
         """Whether the unnamed force or torque clearly holds something."""
         return any(needed for _, needed in axis_gains(at, self.price).values())
 
-    def _tried(self, at: Fitted, scores: Scores) -> list[Fitted]:
-        """Fits of what promises most: all that still gain next to each other, then single causes
-        and pairs, until what one gained is more than the next promises."""
-        together = self._together(scores)
-        promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
-        chosen = ([together] if together else []) + promising[: self.flights.effort.tried]
-        unscored = self._moves(at, [typical(self.flights, n) for n in scores.unscored])
-        fits = self.flights.contest(unscored, at)
-        for p in chosen:
+    def _tried(self, at: Fitted, scores: Scores, pairs: list[Proposal]) -> list[Fitted]:
+        """Fits of what promises most: all that still gain next to each other, single causes and
+        pairs, colour of the sensors, until what one gained is more than the next promises; and of
+        `pairs` that nothing can be said of, before colour, whose fits take longest."""
+        chosen = self._sensors(at)
+        fits: list[Fitted] = []
+        if len(self.named(at.structure)) < self.most:
+            together = self._together(scores)
+            promising = [p for p in proposals(scores, self.price) if self._net(p) > 0]
+            chosen += ([together] if together else []) + promising[: self.flights.effort.tried]
+            unscored = self._moves(at, [typical(self.flights, n) for n in scores.unscored])
+            fits += self.flights.contest(unscored, at)
+        for p in sorted(chosen, key=self._net, reverse=True):
+            if not p.start:
+                fits += self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
             gained = max((self.score(f) - self.score(at) for f in fits), default=0.0)
             if gained > 0 and gained >= self._net(p):
                 break
             fits += self.flights.contest(self._moves(at, [p]), _likeliest(at, fits))
-        return fits
+        return fits + self.flights.contest(self._moves(at, pairs), _likeliest(at, fits))
 
     def _net(self, p: Proposal) -> float:
         """What a proposal promises, less the price of its causes."""
-        return p.gain - self.price * len(p.causes)
+        return p.gain - self.price * len(self.named(p.causes))
 
-    def _sensors(self, at: Fitted) -> list[Move]:
+    def _sensors(self, at: Fitted) -> list[Proposal]:
         """Colour and filters of the sensors whose innovations are not white."""
-        parts = sensor_proposals(at, self.flights.causes)
+        parts, gain = sensor_proposals(at, self.flights.causes)
         self.flights.causes = self.flights.causes.with_cause(*parts)
-        wanted = at.structure | {p.name for p in parts}
-        return [(wanted, [at.known])] if self._new(at, wanted) else []
+        return [Proposal(causes=tuple(p.name for p in parts), gain=gain, start={})] if parts else []
 
     def _together(self, scores: Scores) -> Proposal | None:
         """All causes that still gain next to those before them, most first."""
@@ -160,6 +162,8 @@ class Search:
         return True
 
     def _starts(self, at: Fitted, p: Proposal) -> list[Mapping[Key, float]]:
+        if not p.start:
+            return [at.known]
         null = self.flights.causes.prior_of
         out: list[Mapping[Key, float]] = []
         for share in self.flights.effort.shares:
@@ -228,10 +232,7 @@ class Search:
     # ---------------------------------------------------------------- fits
 
     def _best(
-        self,
-        at: Fitted,
-        found: Iterable[Fitted],
-        scores: Scores | None = None,
+        self, at: Fitted, found: Iterable[Fitted], scores: Scores | None = None
     ) -> Fitted | None:
         fits = [f for f in found if np.isfinite(f.log_evidence)]
         best = max(fits, key=self.score, default=None)

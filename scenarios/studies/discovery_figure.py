@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("out")
     arguments = parser.parse_args(argv)
     content = read_json(arguments.discovery, schema="greybox.discovery/2")
-    steps = [s for s in content["steps"] if s["added"]]
+    steps = [s for s in content["steps"] if set(s["added"]) & set(s["predicted"])]
     figure = Figure(figsize=(11, 2.9), layout="constrained")
     axes = figure.subplots(1, len(steps) + 2)
     for k, (ax, step) in enumerate(zip(axes, steps, strict=False), 1):

@@ -57,7 +57,9 @@ class World:
         """Every structure at its optimum."""
         return [self.fit(s) for s, _ in asked]
 
-    def fit(self, structure: Iterable[str], starts: Sequence[Any] = (), *, rough: bool = False) -> Fitted:
+    def fit(
+        self, structure: Iterable[str], starts: Sequence[Any] = (), *, rough: bool = False, target: float = np.inf
+    ) -> Fitted:
         """The optimum in closed form."""
         chosen = frozenset(structure)
         self.asked.append(rough)

@@ -61,16 +61,17 @@ def test_a_name_that_bent_into_what_a_law_says_is_none_beside_it():
     assert beside["a"].beaten(6.0)
 
 
+@pytest.mark.parametrize("code", [Code.MAX_ITERATIONS, Code.NO_PROGRESS, Code.BEHIND])
 @pytest.mark.parametrize("promised", [0.1, 1.0, 100.0])
-def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float):
-    """A rival's fit ran out of iterations: a motor lag worth 99 % had no e-value at all. The optimum is believed deeper
-    than the last step promised, and a fit that predicts nothing certifies nothing."""
+def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float, code: Code):
+    """A rival's fit did not converge, however it ended: a motor lag worth 99 % had no e-value at all. The optimum is
+    believed deeper than the last step promised, and a fit that predicts nothing certifies nothing."""
     one, other = drawn(3, {"a": np.array([5.0])})
     rival = Rival(instead=(), share=1.0, fitted=one.fit(()))
     plain = certificates(one.fit({"a"}), {"a": [rival]}, [split(one, other)], -np.inf)["a"].log_e
     judges = split(one, other)
     worst = judges.judge.fit(())
-    early = Status(code=Code.MAX_ITERATIONS, iterations=60, evaluations=90, decrement=promised)
+    early = Status(code=code, iterations=60, evaluations=90, decrement=promised)
     fits = cast(World, judges.judge).fits
     fits[frozenset()] = replace(worst, status=early)
     found = certificates(one.fit({"a"}), {"a": [rival]}, [judges], -np.inf)["a"].log_e
@@ -78,6 +79,17 @@ def test_what_a_fit_may_still_gain_counts_against_the_name(promised: float):
     whole = judges.both.fit({"a"})
     cast(World, judges.both).fits[whole.structure] = replace(whole, value=replace(whole.value, valid=False))
     assert certificates(one.fit({"a"}), {"a": [rival]}, [judges], 6.0)["a"].log_e == -np.inf
+
+
+def test_a_rival_that_was_hopeless_where_the_name_was_learned_still_counts():
+    """On the flights that taught b is far behind a; on the one that judges b is the truth, and a is still far better than
+    nothing: a is no name."""
+    one, other = drawn(3, {"a": np.array([12.0])})[0], drawn(3, {"b": np.array([12.0])})[1]
+    at, rival = one.fit({"a"}), one.fit({"b"})
+    assert rival.log_evidence < at.log_evidence - one.effort.behind
+    found = certified(one, other, "a", ((), ("b",)), 6.0)
+    assert found.rivals[()] > 6.0 > found.log_e
+    assert found.against == ("b",)
 
 
 @pytest.mark.parametrize(("size", "exact"), [(0.3, True), (5.0, False)])

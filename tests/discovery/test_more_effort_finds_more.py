@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def linear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Scores in closed form, sensors that are white, nothing without a name."""
     module: Any = greybox.discovery.search
     monkeypatch.setattr(module, "scored", lambda flights, at: scores(flights, sorted(at.structure)))
-    monkeypatch.setattr(module, "sensor_proposals", lambda *_: [])
+    monkeypatch.setattr(module, "sensor_proposals", lambda *_: ([], 0.0))
     monkeypatch.setattr(module, "axis_gains", lambda *_: {})
 
 
@@ -72,6 +73,35 @@ def test_no_verdict_is_lost_by_raising_effort():
         few, many = found(seed, LITTLE), found(seed, MUCH)
         for name, before in few.items():
             assert FOUND.index(many[name].status) <= FOUND.index(before.status), (seed, name)
+
+
+@pytest.mark.parametrize(("promise", "tried"), [(5.0, False), (500.0, True)])
+def test_colour_waits_for_what_gains_more_than_it_promises(promise: float, tried: bool, monkeypatch: pytest.MonkeyPatch):
+    """A motor lag bends into colour of every sensor, whose fits took nine tenths of the time that it took to name it."""
+
+    class Coloured(World):
+        @property
+        def causes(self) -> Any:
+            found = super().causes
+            found.effects = tuple(n for n in found.effects if n != "colour")
+            return found
+
+        @causes.setter
+        def causes(self, new: Any) -> None:
+            """None joins."""
+
+    module: Any = greybox.discovery.search
+    monkeypatch.setattr(module, "sensor_proposals", lambda *_: ([SimpleNamespace(name="colour")], promise))
+    monkeypatch.setattr(module, "scored", lambda flights, at: scores(flights.bare, sorted(at.structure)))
+    rng = np.random.default_rng(1)
+    columns = {n: rng.standard_normal((SAMPLES, 1)) for n in ("a", "colour")}
+    y = 3.0 * columns["a"][:, 0] + rng.standard_normal(SAMPLES)
+    one = Coloured(columns=columns, shared=rng.standard_normal((SAMPLES, 2)), y=y)
+    one.bare = World(columns={"a": columns["a"]}, shared=one.shared, y=y)  # type: ignore[attr-defined]
+    search = Search(flights=one, most=8, say=lambda _text, _share: None)  # type: ignore[arg-type]
+    better = search._add(one.fit(()))
+    assert better is not None and "a" in better.structure
+    assert (frozenset({"colour"}) in one.fits) is tried
 
 
 def test_the_rivals_that_are_asked_decide_as_all_would(monkeypatch: pytest.MonkeyPatch):

@@ -17,7 +17,7 @@ from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.predictors.simulation import Simulation
 from greybox.estimation.problem import Problem, make_problem
 from greybox.estimation.solvers import SOLVERS
-from greybox.estimation.solvers.levenberg_marquardt import LevenbergMarquardt, hopeless
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND, LevenbergMarquardt, hopeless
 from greybox.estimation.status import Code
 from greybox.symbolic import FloatArray
 from tests import motor
@@ -154,8 +154,8 @@ def test_the_pace_is_that_of_the_last_iterations() -> None:
 
 def test_an_optimum_is_not_much_deeper_than_the_full_step_promises() -> None:
     falling = [1000.0, 900.0, 800.0, 700.0, 600.0, 500.0]
-    assert not hopeless(falling, 50.0, target=301.0, left=50)
-    assert hopeless(falling, 50.0, target=299.0, left=50)
+    assert not hopeless(falling, 50.0, target=501.0 - BEYOND * 50.0, left=50)
+    assert hopeless(falling, 50.0, target=499.0 - BEYOND * 50.0, left=50)
     assert not hopeless(falling[:-1], 0.0, target=-1e9, left=50)  # the first steps promise too little
 
 

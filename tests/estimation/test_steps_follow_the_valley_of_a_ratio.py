@@ -107,3 +107,12 @@ def test_without_the_logarithm_of_factors_it_creeps() -> None:
 def test_a_load_is_a_factor_of_the_mass() -> None:
     (share,) = PayloadMass().parameters(None)
     assert share.origin == -1.0
+
+
+def test_a_factor_that_is_pushed_to_its_bound_lands_on_it() -> None:
+    """Half the mass as a load stood a rounding beside its bound, and had a name."""
+    weak = tuple(replace(u, mean=0.1, sigma=0.01) if u.name == "thrust" else u for u in UNKNOWNS)
+    for start in (-0.3, 0.0, 0.7):
+        found, status = LevenbergMarquardt().solve(Ratio(unknowns=weak), np.array([1.0, start, 1.0, 0.3]))
+        assert status.converged
+        assert found[1] == Ratio(unknowns=weak).lower[1]

@@ -38,8 +38,10 @@ FALL = -0.375
 PACE = 5
 """Iterations over which the pace is measured of a search that must reach a target."""
 
-BEYOND = 4.0
-"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken."""
+BEYOND = 10.0
+"""Depth of an optimum, in units of what the full step to it promises, that is not expected once `PACE` steps were taken.
+Calibrated on 167 later steps of 23 fits in searches for causes (development seeds): 95 % of the optima were less deep than
+2.8 promises, 99 % than 10, the deepest 14. From starts at random, far from any optimum, tails are longer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,7 +216,8 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     as fast as the steps are allowed to, not by a half in the logarithm.
 
     A factor moves by a factor, up to e: flights show ratios (thrust over mass), and what leaves all ratios as they are is a
-    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is.
+    curved valley in products, and a straight line in logarithms. A step to the bound at which it vanishes is taken as it is;
+    another bound a factor would only near, so that a step there lands on it once it is near.
     """
     lower, level = problem.lower, is_level(problem)
     size = x - origins(problem)
@@ -224,6 +227,9 @@ def moved_by(x: FloatArray, step: FloatArray, problem: Objective) -> FloatArray:
     moved = step.copy()
     moved[factor] = size[factor] * np.expm1(share[factor])
     moved[level] = 0.5 * np.log1p(2.0 * step[level])
+    with np.errstate(invalid="ignore"):
+        there = factor & (x + step <= lower) & (x + moved - lower < 1e-3 * size)
+    moved[there] = (lower - x)[there]
     return np.clip(x + moved, lower, problem.upper)
 
 
