@@ -34,12 +34,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.estimation.linear.fit import Options, fit_linear
-from greybox.estimation.linear.pem import Settings, start_nuisances
-from greybox.estimation.linear.predictor import predict
-from greybox.estimation.linear.records import Record, prepare
-from greybox.estimation.linear.search import find
-from greybox.estimation.linear.subspace import subspace
+from greybox.linear.fit import Options, fit_linear
+from greybox.linear.pem import Settings, start_nuisances
+from greybox.linear.predictor import predict
+from greybox.linear.records import Record, prepare
+from greybox.linear.search import find
+from greybox.linear.subspace import subspace
 from greybox.model.matrices import Matrices, spectral_radius, steady_gain
 from scenarios.plants.linear_systems import random_system, simulate, stabilising_feedback
 

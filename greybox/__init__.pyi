@@ -12,7 +12,7 @@ from greybox.data.checks import check as check
 from greybox.data.logs import read_logs as read_logs
 from greybox.discovery.workflow import discover as discover
 from greybox.errors import GreyboxError as GreyboxError
-from greybox.estimation.linear.fit import fit_linear as fit_linear
+from greybox.linear.fit import fit_linear as fit_linear
 from greybox.model.model import build_model as build_model
 from greybox.model.vehicle import read_vehicle as read_vehicle
 from greybox.planning.plan import plan as plan

@@ -26,13 +26,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from greybox.baselines.base_predictor import LAST_ERROR, LATE, BasePredictor
+from greybox.baselines.regressors import Lags
 from greybox.data.channel import channel, is_canonical
 from greybox.errors import ModelError
 from greybox.model.linear import LinearModel
 from greybox.model.parameter import Parameter
 from greybox.residual import features as model_features
-from greybox.residual.base_predictor import LAST_ERROR, LATE, BasePredictor
-from greybox.residual.regressors import Lags
 from greybox.symbolic import Expr, FloatArray, Layout, Signal, sum_of
 from mpc_export.sampled import Sampled
 

@@ -15,6 +15,12 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from greybox.baselines import lstm, narx
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.decoupled import combined
+from greybox.baselines.lstm import LSTMModel
+from greybox.baselines.narx import NARXModel
+from greybox.baselines.output_residual import KIND, LINEAR_SCHEMAS, OutputHybrid, read_linear
 from greybox.errors import FileFormatError, ModelError, UnknownNameError
 from greybox.files import read_json
 from greybox.model.effect import Effect
@@ -22,14 +28,9 @@ from greybox.model.identified import SCHEMA as MODEL
 from greybox.model.identified import IdentifiedModel
 from greybox.model.linear import SCHEMA as LINEAR
 from greybox.model.linear import LinearModel
-from greybox.residual import gaussian_process, lstm, narx, posterior
-from greybox.residual.base_predictor import BasePredictor
-from greybox.residual.decoupled import combined
+from greybox.residual import gaussian_process, posterior
 from greybox.residual.files import load_model
 from greybox.residual.gaussian_process import GaussianProcess
-from greybox.residual.lstm import LSTMModel
-from greybox.residual.narx import NARXModel
-from greybox.residual.output_residual import KIND, LINEAR_SCHEMAS, OutputHybrid, read_linear
 from greybox.residual.posterior import QUANTITIES, Domain, GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout
 from mpc_export.innovation_form import BaseForm, InnovationForm, LagForm, StaticForm

@@ -49,6 +49,9 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, run the methods one by one, report."""
+    from greybox.baselines.compare import compare
+    from greybox.baselines.compare_bench import Bench
+    from greybox.baselines.compare_methods import pairs
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.commands.model_options import fit_with
     from greybox.errors import GreyboxError
@@ -57,9 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.model.vehicle import read_vehicle
     from greybox.progress import TimeLeft
     from greybox.report.compare_report import compare_report, format_table
-    from greybox.residual.compare import compare
-    from greybox.residual.compare_bench import Bench
-    from greybox.residual.compare_methods import pairs
     from greybox.residual.learners import GP, LEARNERS
 
     quiet = arguments.json == "-"

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
-    from greybox.estimation.frf_result import FrequencyResponse
-    from greybox.estimation.linear.logs import ChannelSpec
+    from greybox.linear.frf_result import FrequencyResponse
+    from greybox.linear.logs import ChannelSpec
     from greybox.model.identified import IdentifiedModel
     from greybox.model.linear import LinearModel
 
@@ -113,8 +113,8 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report. Returns 1 where no response has a frequency that can be used."""
-    from greybox.estimation.frf import frf
     from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.linear.frf import frf
     from greybox.report.frf_report import frf_report
 
     model, vehicle = _subject(arguments)
@@ -162,7 +162,7 @@ def _subject(
     """The model and the vehicle, as far as they are given."""
     from greybox.commands.front_door import load
     from greybox.errors import DataError
-    from greybox.estimation.frf_channels import vehicle_of
+    from greybox.linear.frf_channels import vehicle_of
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.model.linear import LinearModel
@@ -190,7 +190,7 @@ def _named(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Inputs and outputs: those that were named, else those of the vehicle, else those of the model."""
     from greybox.errors import DataError
-    from greybox.estimation.frf_channels import mixers
+    from greybox.linear.frf_channels import mixers
     from greybox.model.linear import LinearModel
 
     inputs: tuple[str, ...] = ()
@@ -219,8 +219,8 @@ def _flights(
     from greybox.data import Dataset
     from greybox.data.conditioning import condition
     from greybox.data.logs import read_possible
-    from greybox.estimation.frf_channels import channels
-    from greybox.estimation.linear.logs import with_columns
+    from greybox.linear.frf_channels import channels
+    from greybox.linear.logs import with_columns
 
     raws = [
         read_possible(

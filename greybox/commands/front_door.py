@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 from greybox.progress import in_notebooks
 
 if TYPE_CHECKING:
+    from greybox.baselines.output_residual import OutputHybrid
     from greybox.data import Dataset
     from greybox.data.airframe import Airframe
-    from greybox.estimation.frf_result import FrequencyResponse
     from greybox.estimation.profile import Profile
     from greybox.estimation.result import Fit
+    from greybox.linear.frf_result import FrequencyResponse
     from greybox.model.effect import Effect
     from greybox.model.identified import IdentifiedModel
     from greybox.model.linear import LinearModel
     from greybox.model.sensor import Sensor
     from greybox.model.vehicle import Vehicle
-    from greybox.residual.output_residual import OutputHybrid
 
 
 def load(
@@ -32,11 +32,11 @@ def load(
 
     `effects` and `sensors` are those of the user's own (`load_effects`). Raises `FileFormatError`, `UnknownNameError`.
     """
+    from greybox.baselines.output_residual import KIND, OutputHybrid
     from greybox.files import read_json
     from greybox.model.linear import SCHEMA as LINEAR
     from greybox.model.linear import LinearModel
     from greybox.residual.files import load_model
-    from greybox.residual.output_residual import KIND, OutputHybrid
 
     data = read_json(path)
     if data.get("schema") == LINEAR:
@@ -85,8 +85,8 @@ def compare(
     that fails has its error in its row. Raises `UnknownNameError`, `DataError`.
     """
     from greybox.automatic import fit as automatic
-    from greybox.residual.compare import compare as run
-    from greybox.residual.compare_bench import Bench
+    from greybox.baselines.compare import compare as run
+    from greybox.baselines.compare_bench import Bench
 
     bench = Bench(
         vehicle=vehicle, train=train, test=test, fit=fit or (lambda: automatic(vehicle, train)), adapt=adapt, budget=budget,
@@ -131,7 +131,7 @@ def frf(
     where they are not given. The response of a `model` is put beside it. Raises `DataError` for flights that are too short
     and channels that do not move, `UnknownNameError`, `ModelError`.
     """
-    from greybox.estimation.frf import frf as measured
+    from greybox.linear.frf import frf as measured
 
     return measured(
         data, inputs, outputs, references=references, vehicle=vehicle, model=model, band=band, window=window

@@ -17,8 +17,8 @@ RESULTS = ("report.html", "learn.json", "hybrid.json")
 
 def is_linear(path: str) -> bool:
     """Whether a file is one that `greybox linear` wrote."""
+    from greybox.baselines.output_residual import LINEAR_SCHEMAS
     from greybox.files import read_json
-    from greybox.residual.output_residual import LINEAR_SCHEMAS
 
     return read_json(path).get("schema") in LINEAR_SCHEMAS
 
@@ -27,6 +27,9 @@ def run_output(arguments: argparse.Namespace) -> int:
     """Read the linear model and the logs, learn its one-step errors, judge before and after, report."""
     import numpy as np
 
+    from greybox.baselines.decoupled import combined
+    from greybox.baselines.output_judge import judge
+    from greybox.baselines.output_residual import fit_output_residual, read_linear
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.data import Dataset
     from greybox.errors import GreyboxError
@@ -34,10 +37,7 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.model.identified import library_versions
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
-    from greybox.residual.decoupled import combined
     from greybox.residual.learners import GP
-    from greybox.residual.output_judge import judge
-    from greybox.residual.output_residual import fit_output_residual, read_linear
 
     quiet = arguments.json == "-"
     given_horizons(arguments)  # what is wrong with them is said before logs are read
@@ -118,7 +118,7 @@ def _flights(paths: Sequence[str], inputs: Any, outputs: Any, vehicle: Any, rate
     """The logs as flights that hold every output under its name."""
     from greybox.data import Dataset
     from greybox.errors import DataError, UnknownNameError
-    from greybox.estimation.linear.logs import read_records
+    from greybox.linear.logs import read_records
 
     try:
         found = read_records(paths, inputs, outputs, vehicle, rate=rate, mapping=mapping)

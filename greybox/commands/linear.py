@@ -52,11 +52,11 @@ def add(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, identify, validate, report. Returns 0, or 1 where a fit did not converge."""
     from greybox.errors import DataError
-    from greybox.estimation.linear.logs import parse_channels, read_records
     from greybox.files import dump_json, write_atomic, write_json
+    from greybox.linear.logs import parse_channels, read_records
+    from greybox.linear.validation import Identified, validate_linear
     from greybox.model.vehicle import read_vehicle
     from greybox.report.linear_report import linear_report
-    from greybox.validation.linear import Identified, validate_linear
 
     quiet = arguments.json == "-"
     inputs, outputs = parse_channels(arguments.inputs, "inputs"), parse_channels(arguments.outputs, "outputs")
@@ -165,7 +165,7 @@ def _fit(
     order: int | str,
     delays: list[int] | str,
 ) -> Any:
-    from greybox.estimation.linear.fit import Options, Record, Settings, fit_linear
+    from greybox.linear.fit import Options, Record, Settings, fit_linear
 
     records = [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in train.records]
     methods: Any = ("cva", "ssarx") if arguments.open_loop else ("ssarx", "pbsid")
@@ -193,8 +193,8 @@ def _fit(
 
 def _intervals(fit: Any, records: Any, columns: tuple[int, ...], rows: tuple[int, ...]) -> tuple[Any, ...]:
     """Profile likelihood intervals of every pole: real part, and imaginary part of the complex ones above the axis."""
-    from greybox.estimation.linear.fit import Record
-    from greybox.estimation.linear.pole_profile import pole_profile
+    from greybox.linear.fit import Record
+    from greybox.linear.pole_profile import pole_profile
 
     own = [Record(u=r.u[:, list(columns)], y=r.y[:, list(rows)], name=r.name) for r in records]
     profile = pole_profile(fit, own)

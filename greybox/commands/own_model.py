@@ -71,7 +71,7 @@ def read_flights_of(
     physics = physics_of(dynamics)
     if physics is not None:
         return read_flight_logs(arguments, paths, physics.vehicle, rate=rate, trim=trim)
-    from greybox.estimation.linear.logs import ChannelSpec, read_records
+    from greybox.linear.logs import ChannelSpec, read_records
 
     inputs, outputs = (
         [ChannelSpec(name=n, terms=((1.0, n),)) for n in layout.names]

@@ -9,8 +9,8 @@ import numpy as np
 
 from greybox.data import Dataset
 from greybox.errors import GreyboxError
-from greybox.estimation.frf import frf
-from greybox.estimation.frf_channels import channels, mixed, mixers, vehicle_of, weights_of
+from greybox.linear.frf import frf
+from greybox.linear.frf_channels import channels, mixed, mixers, vehicle_of, weights_of
 from greybox.model.frequency_response import step_response
 from greybox.report.response_section import Responses, Step
 

@@ -11,7 +11,7 @@ LEADS = 4
 """The start of a segment only tells its commands where the segment is more than so many times as long."""
 
 
-def led(data: Dataset) -> Dataset:
+def without_lead_in(data: Dataset) -> Dataset:
     """The data without the first `START_SECONDS` seconds of every segment, whose commands are remembered.
 
     Commands before the first row are unknown: a model with a delay predicts the samples after it wrongly, one with rotor

@@ -20,7 +20,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
-from greybox.data.lead import led
+from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import Known, offer, sensor_cause, since
 from greybox.discovery.evidence import Flights, Key, Structure
 from greybox.discovery.name import LOG10
@@ -63,7 +63,7 @@ def further(
     parts = [sensor_cause(p, causes.model) for p in sensor_parts(model.dynamics)]
     causes = causes.with_cause(*parts)
     structure = frozenset(n for n in (*model.effects, *(p.name for p in parts)) if n in causes.offered)
-    flights = Flights(causes=causes, data=led(data))
+    flights = Flights(causes=causes, data=without_lead_in(data))
     start: dict[Key, float] = {(n, None): float(v) for n, v in model.values.items()}
     told = flights.fit(structure, [start])
     flat = flights.on(flights.data, flat=True)

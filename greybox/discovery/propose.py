@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from greybox.discovery.cause import Cause
 from greybox.discovery.evidence import Fitted, Flights, Key
 from greybox.discovery.rules import RULES
-from greybox.estimation.differences import widened
+from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.symbolic import FloatArray
 
 BODY = ("position", "velocity", "attitude", "rate")
@@ -170,7 +170,7 @@ def scored(flights: Flights, at: Fitted) -> Scores:
     near = causes.built(sorted({*at.structure, *absent} - late))
     whole = causes.built(sorted({*at.structure, *absent}))
     with threadpool_limits(limits=1):
-        problem, theta = widened(
+        problem, theta = with_candidate_sensitivities(
             at.problem,
             at.theta,
             near,

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from greybox.data import Dataset
 from greybox.data.checks import CheckReport, check
-from greybox.data.lead import led
+from greybox.data.lead import without_lead_in
 from greybox.discovery.alike import separating
 from greybox.discovery.cause import Causes, offer, since
 from greybox.discovery.certificate import certificates, certificates_beside, splits
@@ -35,7 +35,7 @@ from greybox.estimation.record import sample_time
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
 from greybox.progress import in_notebooks
-from greybox.validation.gap import Foresight, foresee, gap, outgrown
+from greybox.validation.gap import HeldOutErrors, gap, outgrown, predict_ahead
 
 SHORTEST_FLIGHT = 0.6
 """Seconds without an interruption: the first tenth tells only its commands."""
@@ -92,12 +92,12 @@ def discover(
     run = _Run(
         flights=Flights(
             causes=causes,
-            data=led(train),
+            data=without_lead_in(train),
             options=options.of_every_fit,
             effort=options.effort,
             executor=executor,
         ),
-        test=None if tested is None else led(tested),
+        test=None if tested is None else without_lead_in(tested),
         judges=train if tested is None else tested,
         options=options,
         settings=settings,
@@ -195,7 +195,7 @@ class _Run:
     save: Callable[[Discovery], None]
     began: float
     warnings: list[str] = field(default_factory=list)
-    _foreseen: dict[frozenset[str], Foresight | None] = field(default_factory=dict)
+    _held_out: dict[frozenset[str], HeldOutErrors | None] = field(default_factory=dict)
     _settled: dict[frozenset[str], Fit] = field(default_factory=dict)
 
     @property
@@ -282,16 +282,16 @@ class _Run:
             self._settled[at.structure] = self.flights.settled(at)
         return self._settled[at.structure]
 
-    def foreseen(self, at: Fitted) -> Foresight | None:
+    def held_out(self, at: Fitted) -> HeldOutErrors | None:
         """Errors of a structure on the flights that judge; None where it predicts nothing there."""
-        if at.structure not in self._foreseen:
+        if at.structure not in self._held_out:
             try:
                 model = self.settled(at).model
-                ahead = foresee(model, self.judges, adapt=self.options.adapt)
-                self._foreseen[at.structure] = ahead
+                ahead = predict_ahead(model, self.judges, adapt=self.options.adapt)
+                self._held_out[at.structure] = ahead
             except GreyboxError:
-                self._foreseen[at.structure] = None
-        return self._foreseen[at.structure]
+                self._held_out[at.structure] = None
+        return self._held_out[at.structure]
 
     # ---------------------------------------------------------------- judging
 
@@ -303,7 +303,7 @@ class _Run:
         names = []
         for name, certificate in certified.items():
             without = next(r.fitted for r in rivals[name] if not r.instead)
-            old, new = self.foreseen(without), self.foreseen(at)
+            old, new = self.held_out(without), self.held_out(at)
             good = None if old is None or new is None else worth(old, new)
             odd = impossible(at, self.flights, name)
             names.append(judged(certificate, good, odd, self.bar, self.options.alpha))
@@ -358,14 +358,14 @@ class _Run:
                 "halves: e-values are then too large by what choosing gains"
             )
             self.warnings.append("the gap is judged on the training flights: give --test flights")
-        before, after = self.foreseen(null), self.foreseen(at)
+        before, after = self.held_out(null), self.held_out(at)
         if before is None or after is None:
             self.warnings.append("no gap table: the models predict nothing on the judged flights")
             return []
         proposals = attainable = None
         if lawful is not None:
             try:
-                proposals = foresee(lawful, self.judges, adapt=self.options.adapt).own
+                proposals = predict_ahead(lawful, self.judges, adapt=self.options.adapt).own
             except GreyboxError as error:
                 self.warnings.append(f"the proposed laws could not be judged: {error}")
         if self.options.attainable:
@@ -391,7 +391,7 @@ class _Run:
 
         try:
             learned = learn(self.settled(null).model, self.flights.data, seed=self.options.seed)
-            return foresee(learned.model, self.judges, adapt=self.options.adapt).own
+            return predict_ahead(learned.model, self.judges, adapt=self.options.adapt).own
         except GreyboxError as error:
             self.warnings.append(f"no attainable line: {error}")
             return None

@@ -21,7 +21,7 @@ import numpy as np
 from greybox.discovery.rules import RULES
 from greybox.statistics.betting import betting
 from greybox.symbolic import FloatArray
-from greybox.validation.gap import Foresight
+from greybox.validation.gap import HeldOutErrors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Worth:
         return self.seen and self.share >= RULES.trace
 
 
-def worth(without: Foresight, named: Foresight) -> Worth:
+def worth(without: HeldOutErrors, named: HeldOutErrors) -> Worth:
     """What a name removes of the errors `without` it."""
     best = (False, -np.inf, "", 0.0)
     for key, blocks in without.own.items():
@@ -66,7 +66,7 @@ def worth(without: Foresight, named: Foresight) -> Worth:
     )
 
 
-def seconds(without: Foresight, named: Foresight) -> FloatArray:
+def seconds(without: HeldOutErrors, named: HeldOutErrors) -> FloatArray:
     """Per second of flight, the relative fall of the squared error over `RULES.fastest` to
     `RULES.longest` ahead, (old - new) / (old + new), mean over groups and horizons: within -1, 1."""
     rows: list[FloatArray] = []

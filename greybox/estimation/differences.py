@@ -92,7 +92,7 @@ class _Column:
         return (self.new.at(samples) - self.old.at(samples)) / self.step
 
 
-def widened(
+def with_candidate_sensitivities(
     small: Problem,
     theta: FloatArray,
     large: Dynamics,

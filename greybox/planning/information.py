@@ -22,7 +22,7 @@ from greybox.estimation.criteria.gaussian import Gaussian
 from greybox.estimation.identifiability import marginal_information
 from greybox.estimation.predictors.innovation import Innovation
 from greybox.estimation.problem import make_problem
-from greybox.planning.subject import Estimated, Subject
+from greybox.planning.planning_case import Estimated, PlanningCase
 from greybox.statistics.evidence import CLEAR_LOG_RATIO
 from greybox.symbolic import FloatArray
 
@@ -180,7 +180,7 @@ class Pair:
         return "NOT separated: they look alike on this flight"
 
 
-def pairs(subject: Subject, found: Information) -> list[Pair]:
+def pairs(subject: PlanningCase, found: Information) -> list[Pair]:
     """Every pair of effects with free parameters, linearised at the values that are taken for true.
 
     For A true with sizes a: L = a' (H_aa - H_ab H_bb^-1 H_ba) a / 2, all other unknowns eliminated before (the expected log

@@ -23,7 +23,7 @@ from greybox.model.dynamics import Dynamics, StateSpaceModel
 from greybox.model.identified import IdentifiedModel, library_versions
 from greybox.model.parameter import Parameter
 from greybox.planning.information import Score, choose, efficiency, errors, information
-from greybox.planning.subject import precision_of
+from greybox.planning.planning_case import precision_of
 from greybox.symbolic import FloatArray
 
 SCHEMA = "greybox.own_plan/1"
@@ -36,7 +36,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSubject:
-    """What is planned for: as `greybox.planning.subject.Subject`, for a model of any kind."""
+    """What is planned for: as `greybox.planning.planning_case.PlanningCase`, for a model of any kind."""
 
     dynamics: Dynamics
     free: tuple[str, ...]

@@ -14,13 +14,13 @@ from greybox.estimation.identifiability import marginal_information, unidentifie
 from greybox.estimation.options import says_choices
 from greybox.model.identified import IdentifiedModel
 from greybox.model.vehicle import Vehicle
+from greybox.planning.excitation_blocks import Flown, excitation_blocks, fit_in, sequence
 from greybox.planning.information import Score, choose, efficiency, errors, information, pairs
 from greybox.planning.limits import Limits, command_range
 from greybox.planning.manoeuvres import flown
 from greybox.planning.options import PlanChoices, PlanOptions
-from greybox.planning.pieces import Flown, fit_in, pieces, sequence
+from greybox.planning.planning_case import PlanningCase, planning_case
 from greybox.planning.result import Plan, Step
-from greybox.planning.subject import Subject, subject
 from greybox.progress import in_notebooks
 
 ROUNDS, SMALLER = 8, 0.85
@@ -64,7 +64,7 @@ def plan(
         )
     with threadpool_limits(limits=1):
         wish, limits, notes = _hovering(
-            lambda assumed: subject(
+            lambda assumed: planning_case(
                 vehicle, model, effects=o.effects, free=o.free, values=o.values, noise=o.noise, sensors=o.sensors,
                 sample_time=o.sample_time, assumed=assumed,
             ),
@@ -98,13 +98,13 @@ def plan(
 
 
 def _hovering(
-    make: Callable[[float], Subject], limits: Limits | None, seconds: float
-) -> tuple[Subject, Limits, list[str]]:  # fmt: skip
+    make: Callable[[float], PlanningCase], limits: Limits | None, seconds: float
+) -> tuple[PlanningCase, Limits, list[str]]:  # fmt: skip
     """The subject, with effects of assumed size made smaller until the craft hovers within the limits."""
     for assumed in (1.0, 0.5, 0.25, 0.1, 0.05):
         wish = make(assumed)
         room = limits or Limits(command=command_range(wish.dynamics.vehicle))
-        hover = pieces(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
+        hover = excitation_blocks(wish.flying, room, seconds=seconds, setpoints_only=True)[0]
         if fit_in(wish.flying, hover, room) is not None:
             note = f"effects without a stated size are taken at {assumed:g} of their typical one"
             return wish, room, [] if assumed == 1.0 else [note]
@@ -121,11 +121,11 @@ def _say(say: Callable[[str], None] | None, text: str) -> None:
 
 
 def _flyable(
-    wish: Subject, limits: Limits, seconds: float, seed: int, setpoints_only: bool, say: Callable[[str], None] | None
+    wish: PlanningCase, limits: Limits, seconds: float, seed: int, setpoints_only: bool, say: Callable[[str], None] | None
 ) -> tuple[dict[str, Flown], list[str]]:  # fmt: skip
     """The pieces that keep the limits, by name, and the texts of those that do not. Raises `FitError` where none does."""
     out, left_out = {}, []
-    for p in pieces(wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only):
+    for p in excitation_blocks(wish.flying, limits, seconds=seconds, seed=seed, setpoints_only=setpoints_only):
         done = fit_in(wish.flying, p, limits)
         if done is None:
             left_out.append(p.text)
@@ -143,7 +143,7 @@ def _flyable(
 
 
 def _kept(
-    wish: Subject, limits: Limits, split: Sequence[Sequence[Step]]
+    wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]
 ) -> tuple[tuple[tuple[Step, ...], ...], Dataset]:
     """The flights and their logs. Manoeuvres that break a limit where they follow each other are made smaller.
 
@@ -170,7 +170,7 @@ def _kept(
     return smaller, log
 
 
-def _fly(wish: Subject, limits: Limits, split: Sequence[Sequence[Step]]) -> Dataset:
+def _fly(wish: PlanningCase, limits: Limits, split: Sequence[Sequence[Step]]) -> Dataset:
     """Noise-free logs of whole flights. Raises `FitError` where one is lost."""
     logs = []
     for k, steps in enumerate(split):
@@ -186,7 +186,7 @@ def _fly(wish: Subject, limits: Limits, split: Sequence[Sequence[Step]]) -> Data
     return sum(logs[1:], start=logs[0])
 
 
-def _naive(wish: Subject, limits: Limits, candidates: Mapping[str, Flown], seconds: float) -> Dataset:
+def _naive(wish: PlanningCase, limits: Limits, candidates: Mapping[str, Flown], seconds: float) -> Dataset:
     """Half hover, half figure of eight, as a pilot would who is asked for data (to and fro, where it cannot be flown)."""
     eight = candidates.get("figure_eight") or max(candidates.values(), key=lambda f: f.piece.kind == "speed")
     n = max(round(seconds / eight.piece.seconds), 1)

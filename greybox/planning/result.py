@@ -11,17 +11,17 @@ import numpy as np
 from greybox.data import Dataset
 from greybox.estimation.identifiability import Combination
 from greybox.model.identified import library_versions
+from greybox.planning.excitation_blocks import ExcitationBlock
 from greybox.planning.information import Information, Pair
 from greybox.planning.limits import Limits
-from greybox.planning.pieces import Piece
-from greybox.planning.subject import Subject
+from greybox.planning.planning_case import PlanningCase
 from greybox.shown import Cell, Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "greybox.plan/1"
-Step = tuple[Piece, float]
+Step = tuple[ExcitationBlock, float]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -32,7 +32,7 @@ class Plan(Shown):
     plus figure of eight of the same length; `efficiency` compares the two (`information.efficiency`).
     """
 
-    subject: Subject
+    subject: PlanningCase
     limits: Limits
     flights: tuple[tuple[Step, ...], ...]
     log: Dataset

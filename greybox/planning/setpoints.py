@@ -11,12 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.planning.excitation_blocks import ExcitationBlock, sequence
 from greybox.planning.limits import Limits
-from greybox.planning.pieces import Piece, sequence
 from greybox.symbolic import FloatArray
 
 
-def setpoints(steps: Sequence[tuple[Piece, float]], limits: Limits, dt: float, gravity: float) -> dict[str, FloatArray]:
+def setpoints(
+    steps: Sequence[tuple[ExcitationBlock, float]], limits: Limits, dt: float, gravity: float
+) -> dict[str, FloatArray]:
     """Columns (n,) by name, n = seconds / dt."""
     manoeuvre = sequence(steps, limits)
     n = round(sum(p.seconds for p, _ in steps) / dt)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from greybox.estimation.linear.uncertainty import ComplexEstimate
+from greybox.linear.uncertainty import ComplexEstimate
 from greybox.report.figures import _BOTTOM, _LEFT, _RIGHT, _TOP, MUTED, SERIES, WIDTH, _axes, _figure, _label, _panel
 
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimation.linear.prediction import adapt, simulate
-from greybox.estimation.linear.records import Record, delayed
+from greybox.linear.prediction import adapt, simulate
+from greybox.linear.records import Record, delayed
+from greybox.linear.validation import Identified
 from greybox.model.matrices import spectral_radius
 from greybox.report import figures, linear_figures
 from greybox.report.html import Key, Report
 from greybox.report.words import p_value
-from greybox.validation.linear import Identified
 
 
 def linear_report(

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from greybox.estimation.frf_result import TRUSTED
+from greybox.linear.frf_result import TRUSTED
 from greybox.report.figures import (
     _BOTTOM,
     _LEFT,

@@ -84,7 +84,7 @@ def outgrown(rows: Iterable[GapRow]) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Foresight:
+class HeldOutErrors:
     """(group, horizon) -> one array of squared errors per second of flight, in order; the same of the `floor`. `reading`:
     group -> mean squared error of one reading of its sensor, as the model knows it."""
 
@@ -102,7 +102,7 @@ def unknown_start(model: IdentifiedModel) -> bool:
     return not (shown["position"] | shown["velocity"]) & model.sensors or not shown["rate"] & model.sensors
 
 
-def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> Foresight:
+def predict_ahead(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None) -> HeldOutErrors:
     """Open-loop errors of `model` at all origins of `data`; per-flight parameters are adapted on the first `adapt` s.
 
     Physics alone foretells: force and torque that nobody named are zero from every origin on. Where readings do not
@@ -147,7 +147,7 @@ def foresee(model: IdentifiedModel, data: Dataset, *, adapt: float | None = None
                 _collect(floor, dead, references, origins, steps, second)
     if not any(own.values()):
         raise DataError("no flight is long enough for multi-step errors", expected=f"over {longest} samples")
-    return Foresight(own=own, floor=floor, reading=readings(model))
+    return HeldOutErrors(own=own, floor=floor, reading=readings(model))
 
 
 def readings(model: IdentifiedModel) -> dict[str, float]:
@@ -223,8 +223,8 @@ def gap(
     before: tuple[Squares, Squares], after: tuple[Squares, Squares], *, proposals: Squares | None = None,
     attainable: Squares | None = None, draws: int = 500, seed: int = 0,
 ) -> list[GapRow]:  # fmt: skip
-    """Rows for every group and horizon that both models predict, own and floor of `foresee`; `proposals` and `attainable`
-    are squared errors of the model with the proposed laws and of the one with a learned part."""
+    """Rows for every group and horizon that both models predict, own and floor of `predict_ahead`; `proposals` and
+    `attainable` are squared errors of the model with the proposed laws and of the one with a learned part."""
     rng = np.random.default_rng(seed)
     out = []
     for key, blocks in before[0].items():

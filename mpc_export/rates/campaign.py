@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from greybox.baselines.output_residual import OutputHybrid
 from greybox.files import append_json_line, checksum, file_sha256, read_json, read_json_lines, write_json
 from greybox.model.identified import library_versions
 from greybox.progress import TimeLeft
-from greybox.residual.output_residual import OutputHybrid
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.mission.summary import exact
 from mpc_export.predictors import predictor_model

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
 from greybox.data import Segment, dataset_from_arrays
-from greybox.estimation.linear.fit import fit_linear
-from greybox.estimation.linear.records import Record
 from greybox.files import read_json, write_json
+from greybox.linear.fit import fit_linear
+from greybox.linear.records import Record
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.plants.flight_log import write_log
 from greybox.plants.vehicle_file import write_vehicle
-from greybox.residual.base_predictor import BasePredictor
-from greybox.residual.output_residual import OutputHybrid, fit_output_residual
 from greybox.residual.train import check_extra
 from greybox.symbolic import FloatArray
 from mpc_export.mission.campaign import make_folder

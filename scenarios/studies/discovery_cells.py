@@ -21,7 +21,7 @@ from greybox.commands.missing_effect import ERRORS, SIGMA
 from greybox.data import Dataset, dataset_from_arrays
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
-from greybox.estimation.differences import widened
+from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.excitation.circle import Circle
 from greybox.excitation.figure_eight import FigureEight
 from greybox.excitation.injection import rich_excitation
@@ -189,7 +189,7 @@ def in_noise(vehicle: str, seconds: float) -> dict[str, float]:
     causes = offer(said, data.channels, sample_time=0.01)
     at = Flights(causes=causes, data=data).fit(())
     null = {p: m for c in causes.offered.values() for p, (m, _) in c.prior.items()}
-    wide, theta = widened(at.problem, at.theta, causes.built(causes.effects), data, null)
+    wide, theta = with_candidate_sensitivities(at.problem, at.theta, causes.built(causes.effects), data, null)
     value = wide.evaluate(theta)
     assert value.hessian is not None
     places: dict[str, list[int]] = {}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.data.lead import led
+from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.evidence import Fitted, Flights
@@ -22,7 +22,7 @@ from greybox.discovery.search import Rival
 from greybox.estimation.fit import Fit
 from greybox.estimation.record import sample_time
 from greybox.model.vehicle import Vehicle
-from greybox.validation.gap import NOTHING, Foresight, foresee
+from greybox.validation.gap import NOTHING, HeldOutErrors, predict_ahead
 
 AHEAD = 0.5
 """Horizon [s] at which gaps are compared."""
@@ -51,14 +51,14 @@ def oracle(
     names = tuple(dict.fromkeys(n.split(".")[0] for n in truth))
     if not set(names) <= set(causes.offered):
         return {"log10_e": {}, "gain": None, "rivals": {}, "affected": None, "closed": None}
-    flights = Flights(causes=causes, data=led(train))
+    flights = Flights(causes=causes, data=without_lead_in(train))
     null = flights.fit(())
     told = flights.fit(names, [{**null.known, **{(n, None): v for n, v in truth.items()}}])
     without = {
         n: [Rival(instead=(), share=0.0, fitted=flights.fit(set(names) - {n}, [told.known]))]
         for n in names
     }
-    certified = certificates(told, without, splits(flights, led(test)), np.inf)
+    certified = certificates(told, without, splits(flights, without_lead_in(test)), np.inf)
     others: dict[str, Fitted] = {}
     for group in groups:
         kept = [n for n in names if n not in {m for r in group for m in r.split("+")}]
@@ -76,7 +76,7 @@ def oracle(
     }
 
 
-def ahead(seen: Foresight) -> dict[str, float]:
+def ahead(seen: HeldOutErrors) -> dict[str, float]:
     """Group -> RMSE half a second ahead."""
     out = {}
     for (group, horizon), blocks in seen.own.items():
@@ -88,7 +88,7 @@ def ahead(seen: Foresight) -> dict[str, float]:
 def _closed(
     test: Dataset, null: Fit, told: Fit, final: Fit
 ) -> tuple[str | None, float | None]:
-    before, best, own = (ahead(foresee(f.model, test)) for f in (null, told, final))
+    before, best, own = (ahead(predict_ahead(f.model, test)) for f in (null, told, final))
     shared = [g for g in before if best.get(g) and g in own]
     group = max(shared, key=lambda g: before[g] / best[g], default=None)
     if group is None or before[group] ** 2 < NOTHING * best[group] ** 2:

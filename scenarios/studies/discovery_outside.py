@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.data.lead import led
+from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
 from greybox.discovery.result import Discovery
@@ -43,7 +43,7 @@ from greybox.files import append_json_line
 from greybox.plants.effects import PlantEffect
 from greybox.plants.presets import x250
 from greybox.plants.quadrotor import Quadrotor
-from greybox.validation.gap import NOTHING, foresee
+from greybox.validation.gap import NOTHING, predict_ahead
 from scenarios.plants import outside
 from scenarios.studies.discovery_cells import dataset, logs, vehicle_of
 from scenarios.studies.discovery_oracle import AHEAD, ahead
@@ -105,8 +105,8 @@ def least(seed: int, seconds: float = 16.0) -> dict[str, float]:
     first = 1000 * seed
     train, test = (flights(x250(), [first + k for k in ks], seconds, name) for ks, name in (((1, 2), "a"), ((101,), "b")))
     causes = offer(vehicle_of(x250()), train.channels, sample_time=0.01)
-    searched = Flights(causes=causes, data=led(train))
-    return ahead(foresee(searched.settled(searched.fit(causes.base)).model, test))
+    searched = Flights(causes=causes, data=without_lead_in(train))
+    return ahead(predict_ahead(searched.settled(searched.fit(causes.base)).model, test))
 
 
 def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def learned(found: Discovery, train: Dataset, test: Dataset, seed: int) -> dict[
 
     try:
         result = learn(found.lawful or found.model, train, place=True, seed=seed)
-        errors = foresee(result.model, test).own
+        errors = predict_ahead(result.model, test).own
     except GreyboxError as error:  # what was searched for minutes is kept
         return {"rmse": {}, "chosen": None, "error": str(error)}
     rmse = {g: float(np.sqrt(np.concatenate(rows).mean())) for (g, s), rows in errors.items() if s == AHEAD}

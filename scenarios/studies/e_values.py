@@ -27,7 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from greybox.data import Dataset
-from greybox.data.lead import led
+from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
 from greybox.discovery.evidence import Fitted, Flights
@@ -72,8 +72,8 @@ def log_e(plant: Quadrotor, seed: int, train: Dataset, test: Dataset, names: Seq
     """Name -> log e-value against the model without it."""
     said = nominal(plant, "off", seed)
     causes = offer(said, train.channels, sample_time=sample_time(train))
-    common = Flights(causes=causes, data=led(train), options=DiscoverOptions().of_every_fit)
-    judges = splits(common, led(test))
+    common = Flights(causes=causes, data=without_lead_in(train), options=DiscoverOptions().of_every_fit)
+    judges = splits(common, without_lead_in(test))
     null = common.fit(causes.base)
     out = {}
     for name in names:

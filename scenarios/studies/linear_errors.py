@@ -16,9 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.estimation.linear.fit import LinearFit, Options, Settings, fit_linear
-from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.uncertainty import Uncertainty
+from greybox.linear.fit import LinearFit, Options, Settings, fit_linear
+from greybox.linear.records import Record
+from greybox.linear.uncertainty import Uncertainty
 from greybox.symbolic import FloatArray
 
 NUMERATOR, DENOMINATOR = (0.0, 0.5, 0.3), (1.0, -1.2, 0.5)

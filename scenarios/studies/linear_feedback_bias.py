@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.estimation.linear.fit import Options, fit_linear
-from greybox.estimation.linear.records import Record
+from greybox.linear.fit import Options, fit_linear
+from greybox.linear.records import Record
 from scenarios.plants.linear_systems import LinearTruth, simulate
 
 TRUTH = LinearTruth(

@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimation.linear.fit import LinearFit, Options, Settings, fit_linear
-from greybox.estimation.linear.logs import Logs, parse_channels, read_records
-from greybox.estimation.linear.prediction import adapt, k_step, simulate
-from greybox.estimation.linear.records import Record, delayed
 from greybox.examples import flight_paths, nanobench_split, vehicle_path
 from greybox.files import write_json
+from greybox.linear.fit import LinearFit, Options, Settings, fit_linear
+from greybox.linear.logs import Logs, parse_channels, read_records
+from greybox.linear.prediction import adapt, k_step, simulate
+from greybox.linear.records import Record, delayed
 from greybox.model.matrices import spectral_radius
 from greybox.model.vehicle import read_vehicle
 from greybox.symbolic import FloatArray

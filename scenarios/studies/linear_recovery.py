@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from greybox.estimation.linear.fit import fit_linear
-from greybox.estimation.linear.order import choose_order
-from greybox.estimation.linear.parametrisation import Free
-from greybox.estimation.linear.pem import minimise
-from greybox.estimation.linear.records import Record, prepare
-from greybox.estimation.linear.search import Options
+from greybox.linear.fit import fit_linear
+from greybox.linear.order import choose_order
+from greybox.linear.parametrisation import Free
+from greybox.linear.pem import minimise
+from greybox.linear.records import Record, prepare
+from greybox.linear.search import Options
 from greybox.model.matrices import Matrices, truncated
 from scenarios.plants.linear_systems import LinearTruth, random_system, simulate, stabilising_feedback
 

@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.narx import search_narx
 from greybox.data.segment import Segment
 from greybox.estimation.filtering import Filter, Filtered
 from greybox.estimation.fit import Fit, fit
-from greybox.estimation.linear.fit import fit_linear
-from greybox.estimation.linear.prediction import k_step
-from greybox.estimation.linear.records import Record
+from greybox.linear.fit import fit_linear
+from greybox.linear.prediction import k_step
+from greybox.linear.records import Record
 from greybox.model.linear import LinearModel
 from greybox.model.model import build_model
 from greybox.model.vehicle import Vehicle, read_vehicle
 from greybox.plants.vehicle_file import write_vehicle
-from greybox.residual.base_predictor import BasePredictor
-from greybox.residual.narx import search_narx
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Layout, Signal
 from scenarios.studies.paper_data import (
@@ -225,7 +225,7 @@ def nonlinear(bench: Bench) -> Outcome:
 
 def lstm(bench: Bench) -> Outcome:
     """LSTM alone."""
-    from greybox.residual.lstm_train import search_lstm
+    from greybox.baselines.lstm_train import search_lstm
 
     began = time.process_time()
     found = [
@@ -295,7 +295,7 @@ def _hybrid(
     channels: Mapping[str, Sequence[tuple[float, str]]] | None = None,
 ) -> Outcome:
     """model + GP on r(t) = y(t) - y(t|t-1), trained on 0-20 s; features, kernel and size chosen on 20-25 s."""
-    from greybox.residual.output_residual import OutputHybrid, fit_output_residual
+    from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
 
     validation, segment = bench.data.rows(VALIDATION), bench.data.segment
     scale = bench.measured[bench.data.rows(bench.train)].var(axis=0)

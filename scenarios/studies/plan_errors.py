@@ -134,7 +134,7 @@ def study(
     """Plan, fly, fit. Rows by parameter: predicted and measured spread of the plan and of the naive flight."""
     from greybox.model.vehicle import read_vehicle
     from greybox.planning import plan
-    from greybox.planning.pieces import pieces
+    from greybox.planning.excitation_blocks import excitation_blocks
     from greybox.planning.setpoints import setpoints
 
     craft = plant()
@@ -153,7 +153,7 @@ def study(
     out: dict[str, Any] = {"plan": made, "rows": {}}
     flights = {"plan": steps}
     if naive:
-        every = {p.name: p for p in pieces(made.subject.flying, made.limits, seconds=steps[0][0].seconds)}
+        every = {p.name: p for p in excitation_blocks(made.subject.flying, made.limits, seconds=steps[0][0].seconds)}
         count = len(steps)
         flights["naive"] = ((every["hover"], 1.0),) * ((count + 1) // 2) + ((every["figure_eight"], 1.0),) * (
             count // 2

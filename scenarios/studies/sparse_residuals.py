@@ -18,17 +18,17 @@ from typing import Any
 
 import numpy as np
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.decoupled import Terms, combined
+from greybox.baselines.output_residual import output_features, residual_rows
 from greybox.data import Dataset
 from greybox.data.logs import read_logs
-from greybox.estimation.linear.fit import fit_linear
-from greybox.estimation.linear.records import Record
 from greybox.examples import NANOBENCH_TEST, NANOBENCH_TRAIN, flight_paths, vehicle_path
 from greybox.files import write_json
+from greybox.linear.fit import fit_linear
+from greybox.linear.records import Record
 from greybox.model.linear import LinearModel
 from greybox.model.vehicle import read_vehicle
-from greybox.residual.base_predictor import BasePredictor
-from greybox.residual.decoupled import Terms, combined
-from greybox.residual.output_residual import output_features, residual_rows
 from greybox.residual.posterior import GPPosterior
 from greybox.residual.selection import stratified
 from greybox.residual.train import train_gp

@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 BASE = ("symbolic", "frames", "errors", "files", "runs", "cores", "interrupts", "progress", "shown", "plots", "distribution")
 ROOMS = (
-    "statistics", "plants", "excitation", "examples", "data", "model", "estimation", "validation", "automatic", "residual",
-    "simulators", "planning", "discovery",
+    "statistics", "plants", "excitation", "examples", "data", "model", "estimation", "validation", "linear", "automatic",
+    "residual", "baselines", "simulators", "planning", "discovery",
     "report",
 )  # fmt: skip
 LEVEL = dict.fromkeys(BASE, 0) | {room: 1 + k for k, room in enumerate(ROOMS)}

@@ -8,7 +8,7 @@ from collections import defaultdict
 from tests.architecture.test_imports import BASE, ROOMS, ROOT, files, imports
 
 PAGE = ROOT / "docs" / "architecture.md"
-BESIDE = ("statistics", "plants", "excitation", "examples", "automatic", "simulators", "report")
+BESIDE = ("statistics", "plants", "excitation", "examples", "linear", "automatic", "baselines", "simulators", "report")
 """Rooms that are no step on the way of the data: below all of them, beside the fit, and behind all of them."""
 SCENARIOS = ("plants", "foreign")
 

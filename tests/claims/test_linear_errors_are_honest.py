@@ -5,10 +5,10 @@ import pytest
 from scipy.signal import lfilter
 
 from greybox.errors import DataError
-from greybox.estimation.linear.fit import Options, Settings, fit_linear
-from greybox.estimation.linear.pole_profile import pole_profile
-from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.robust import correlation_window
+from greybox.linear.fit import Options, Settings, fit_linear
+from greybox.linear.pole_profile import pole_profile
+from greybox.linear.records import Record
+from greybox.linear.robust import correlation_window
 from scenarios.plants.linear_systems import random_system, simulate
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from greybox.estimation.linear.fit import Options, Settings, fit_linear
-from greybox.estimation.linear.pem import Nuisance, evaluate
-from greybox.estimation.linear.prediction import k_step, kalman, simulate
-from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.subspace import subspace
+from greybox.linear.fit import Options, Settings, fit_linear
+from greybox.linear.pem import Nuisance, evaluate
+from greybox.linear.prediction import k_step, kalman, simulate
+from greybox.linear.records import Record
+from greybox.linear.subspace import subspace
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices, steady_gain
 from scenarios.plants.linear_systems import LinearTruth, random_system

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from greybox.errors import FitError, ModelError
-from greybox.estimation.linear.prediction import simulate
-from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.structured import fit_structured
+from greybox.linear.prediction import simulate
+from greybox.linear.records import Record
+from greybox.linear.structured import fit_structured
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.linearise import StructuredLinear, linearise, structured_from, trim
 from greybox.model.parameter import Parameter
@@ -121,8 +121,8 @@ def test_intervals_of_a_structured_fit_cover_with_process_noise_and_a_free_gain(
 
 
 def test_structured_tangent_is_the_derivative():
-    from greybox.estimation.linear.predictor import full_vector
-    from greybox.estimation.linear.structured import StructuredPoint
+    from greybox.linear.predictor import full_vector
+    from greybox.linear.structured import StructuredPoint
 
     model, _ = records(2)
     point = trim(model, DT, start=np.zeros(2), fixed_states=("angle",))

@@ -4,10 +4,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.estimation.linear.prediction import simulate
-from greybox.estimation.linear.records import Record
-from greybox.estimation.linear.structured import fit_structured
 from greybox.examples import vehicle_path
+from greybox.linear.prediction import simulate
+from greybox.linear.records import Record
+from greybox.linear.structured import fit_structured
 from greybox.model.linearise import linearise, structured_from, trim
 from greybox.model.model import build_model
 from greybox.model.parameter import nominal_values

@@ -13,7 +13,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.examples import flight_path, vehicle_path
-from tests.estimation.test_frequency_responses_of_flights import linear_model
+from tests.linear.test_frequency_responses_of_flights import linear_model
 from tests.one_run import results_of_one_run
 from tests.statistics.test_frequency_responses_have_honest_bands import DT, flown
 

@@ -9,10 +9,10 @@ import jsonschema
 import numpy as np
 import pytest
 
+from greybox.baselines.output_residual import OutputHybrid, read_linear
 from greybox.cli import main
 from greybox.data.logs import read_log
 from greybox.errors import FileFormatError
-from greybox.residual.output_residual import OutputHybrid, read_linear
 from tests.one_run import results_of_one_run
 
 pytest.importorskip("gpytorch")

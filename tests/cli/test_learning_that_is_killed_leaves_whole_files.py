@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from greybox.baselines.output_residual import OutputHybrid
 from greybox.cli import main
-from greybox.residual.output_residual import OutputHybrid
 from tests.cli.test_learn_takes_linear_models_too import write_log
 
 KILLED = """

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 import scipy.stats
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.output_learner import fit_features
+from greybox.baselines.output_residual import OutputHybrid, fit_output_residual
 from greybox.data import Segment, dataset_from_arrays
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
-from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.learners import LEARNERS, learner_of
-from greybox.residual.output_learner import fit_features
-from greybox.residual.output_residual import OutputHybrid, fit_output_residual
 from greybox.symbolic import FloatArray, Layout, Signal
 from mpc_export.bundle import write_bundle
 from mpc_export.functions import model_functions

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from greybox.automatic.fit import prepare
 from greybox.data import read_logs
 from greybox.data.impossible import OVERSPEED, without_impossible
-from greybox.estimation.linear.logs import parse_channels, read_records
+from greybox.linear.logs import parse_channels, read_records
 from tests.automatic.craft import flown, raw, vehicle, with_channel
 
 TOP = 2500.0

@@ -16,7 +16,7 @@ from greybox.discovery.worth import seconds, worth
 from greybox.errors import ModelError
 from greybox.estimation.problem import Value
 from greybox.estimation.status import Code, Status
-from greybox.validation.gap import Foresight
+from greybox.validation.gap import HeldOutErrors
 from tests.discovery import small_world
 from tests.residual import hybrid_cases
 
@@ -25,13 +25,13 @@ BAR, ALPHA = 6.0, 0.05
 
 def foresight(
     level: float, noise: float = 0.0, groups: tuple[str, ...] = ("velocity", "rotation"), reading: float = 0.0
-) -> Foresight:
+) -> HeldOutErrors:
     rng = np.random.default_rng(0)
     own = {
         (g, h): [level * (1 + noise * rng.uniform(-1, 1)) * np.ones(20) for _ in range(12)]
         for g in groups for h in (0.0, 0.1, 0.5)
     }  # fmt: skip
-    return Foresight(own=own, floor={}, reading=dict.fromkeys(groups, reading))
+    return HeldOutErrors(own=own, floor={}, reading=dict.fromkeys(groups, reading))
 
 
 def certificate(**rivals: float) -> Certificate:

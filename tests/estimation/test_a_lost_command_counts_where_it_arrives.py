@@ -9,7 +9,7 @@ import pytest
 
 from greybox.data import dataset_from_arrays
 from greybox.estimation.criteria.gaussian import Gaussian
-from greybox.estimation.differences import widened
+from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.fit import fit
 from greybox.estimation.gain import stationary
 from greybox.estimation.lost_commands import LOST, Pushes, lost_commands
@@ -154,7 +154,7 @@ def test_a_delay_is_seen_as_well_where_a_few_rows_are_lost(flight):
     for name, data in (("whole", late_by(whole, whole, gone & False, 0.3)), ("holed", late_by(whole, holed, gone, 0.3))):
         at = fit(build_model(vehicle, data.channels, (), sample_time=0.01), data, initialisation="noise")
         large = build_model(vehicle, data.channels, ("command_delay",), sample_time=0.01)
-        problem, theta = widened(at.problem, at.theta, large, data, {"command_delay.d": 0.0})
+        problem, theta = with_candidate_sensitivities(at.problem, at.theta, large, data, {"command_delay.d": 0.0})
         value = problem.evaluate(theta)
         h, g = value.hessian, value.gradient
         rest = np.linalg.solve(h[:-1, :-1], np.column_stack([h[:-1, -1], g[:-1]]))

@@ -17,10 +17,10 @@ from greybox.discovery.options import DiscoverChoices, DiscoverOptions
 from greybox.discovery.workflow import discover
 from greybox.errors import GreyboxError, UnknownNameError
 from greybox.estimation.fit import fit
-from greybox.estimation.linear.fit import LinearChoices, LinearSetup, Record, fit_linear
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictors.multi_step import MultiStep
 from greybox.estimation.problem import make_problem
+from greybox.linear.fit import LinearChoices, LinearSetup, Record, fit_linear
 from greybox.planning.options import PlanChoices, PlanOptions
 from greybox.planning.plan import plan
 from greybox.residual.options import GPChoices, GPOptions

@@ -7,7 +7,7 @@ import pytest
 
 from greybox.discovery.cause import offer
 from greybox.discovery.evidence import Flights
-from greybox.estimation.differences import widened
+from greybox.estimation.differences import with_candidate_sensitivities
 from greybox.estimation.problem import Problem, make_problem
 from greybox.symbolic import FloatArray
 from tests.discovery import small_world
@@ -24,7 +24,7 @@ def both() -> Both:
     absent = [n for n in causes.effects if n != "gyro_bias"]
     null = {p: m for n in absent for p, (m, _) in causes.offered[n].prior.items()}
     every = causes.built(causes.effects)
-    wide, theta = widened(at.problem, at.theta, every, flights.data, null)
+    wide, theta = with_candidate_sensitivities(at.problem, at.theta, every, flights.data, null)
     free = [u.name for u in wide.unknowns if u.kind == "parameter"]
     d, (process, sensor) = at.problem.dynamics, at.problem.noise_levels(at.theta)
     noise = dict(zip((f"noise.process.{n}" for n in d.noises.names), process.tolist(), strict=True))
@@ -55,7 +55,7 @@ def test_a_limit_that_no_command_reaches_is_moved_until_it_is_felt():
     causes = offer(small_world.vehicle(), data.channels, sample_time=0.01)
     at = Flights(causes=causes, data=data).fit(())
     null = {p: m for p, (m, _) in causes.offered["command_saturation"].prior.items()}
-    wide, theta = widened(at.problem, at.theta, causes.built({"command_saturation"}), data, null)
+    wide, theta = with_candidate_sensitivities(at.problem, at.theta, causes.built({"command_saturation"}), data, null)
     value = wide.evaluate(theta)
     assert value.hessian is not None
     upper = [u.name for u in wide.unknowns].index("command_saturation.a_hi")
@@ -70,8 +70,8 @@ def test_what_a_lag_of_no_length_shows_later_is_looked_for_in_time():
     at = Flights(causes=causes, data=data).fit(())
     null = {p: 0.0 for n in ("motor_lag", "sensor_delay") for p in causes.offered[n].parameters}
     whole, own = causes.built({"motor_lag", "sensor_delay"}), causes.built({"sensor_delay"})
-    exact, theta = widened(at.problem, at.theta, own, data, {"sensor_delay.d": 0.0})
-    apart, same = widened(at.problem, at.theta, own, data, null, apart=whole)
+    exact, theta = with_candidate_sensitivities(at.problem, at.theta, own, data, {"sensor_delay.d": 0.0})
+    apart, same = with_candidate_sensitivities(at.problem, at.theta, own, data, null, apart=whole)
     found = {u.name: i for i, u in enumerate(apart.unknowns)}
     a, b = exact.evaluate(theta), apart.evaluate(same)
     assert a.hessian is not None and b.hessian is not None

@@ -15,7 +15,7 @@ from greybox.model.effect import Effect, Remembered
 from greybox.model.effect_check import check_effect
 from greybox.model.model import PhysicsModel, build_model
 from greybox.plants.presets import x250
-from greybox.validation.gap import foresee
+from greybox.validation.gap import predict_ahead
 from scenarios.plants.outside import RelaxingDrag
 from scenarios.studies.discovery_outside import flights
 from tests.conformance.remembering import Wake
@@ -184,5 +184,5 @@ def test_a_fit_finds_size_and_time_of_an_independent_plant_and_simulates_them():
         estimate = found.parameters[name]
         assert abs(estimate.value - truth) < 4 * estimate.std < 0.1 * truth
     bare = gb.fit(replace(own, effects=()), train, free=("thrust.c2",), initialisation="nominal")
-    ahead = [np.concatenate(foresee(f.model, test).own[("position", 0.5)]).mean() for f in (bare, found)]
+    ahead = [np.concatenate(predict_ahead(f.model, test).own[("position", 0.5)]).mean() for f in (bare, found)]
     assert ahead[1] < 0.25 * ahead[0]

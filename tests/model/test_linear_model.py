@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greybox.errors import FileFormatError, ModelError
-from greybox.estimation.linear.prediction import simulate
+from greybox.linear.prediction import simulate
 from greybox.model.dynamics import Dynamics
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices, balanced, truncated

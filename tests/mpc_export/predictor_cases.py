@@ -7,21 +7,21 @@ import functools
 
 import numpy as np
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.decoupled import combined
+from greybox.baselines.lstm import LSTMModel
+from greybox.baselines.narx import NARXModel
+from greybox.baselines.output_residual import OutputHybrid
+from greybox.baselines.regressors import Lags
 from greybox.data import Segment, dataset_from_arrays
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
 from greybox.residual import sparse
-from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.covariances import OnDims, RationalQuadratic, Scaled, Sum
 from greybox.residual.covariances.linear import Linear
-from greybox.residual.decoupled import combined
 from greybox.residual.gaussian_process import Base, GaussianProcess, Latent
 from greybox.residual.kernels import Kernel
-from greybox.residual.lstm import LSTMModel
-from greybox.residual.narx import NARXModel
-from greybox.residual.output_residual import OutputHybrid
 from greybox.residual.posterior import Domain, GPPosterior
-from greybox.residual.regressors import Lags
 from greybox.symbolic import Layout, Signal
 
 DT = 0.02

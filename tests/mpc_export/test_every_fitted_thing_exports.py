@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from greybox.baselines.base_predictor import BasePredictor
+from greybox.baselines.output_residual import OutputHybrid
 from greybox.data.channel import is_canonical
 from greybox.errors import FileFormatError, GreyboxError, ModelError
 from greybox.model.linear import LinearModel
-from greybox.residual.base_predictor import BasePredictor
 from greybox.residual.gaussian_process import GaussianProcess
-from greybox.residual.output_residual import OutputHybrid
 from mpc_export.bundle import ExportBundle, write_bundle
 from mpc_export.functions import model_functions
 from mpc_export.predictors import read_model

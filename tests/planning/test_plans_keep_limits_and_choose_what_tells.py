@@ -13,11 +13,11 @@ from greybox.estimation.fit import fit
 from greybox.model.vehicle import Vehicle
 from greybox.model.vehicle_template import template_text
 from greybox.planning import plan
+from greybox.planning.excitation_blocks import excitation_blocks, fit_in
 from greybox.planning.information import Information, Score, choose, errors, information
 from greybox.planning.limits import Limits
-from greybox.planning.pieces import fit_in, pieces
+from greybox.planning.planning_case import planning_case
 from greybox.planning.setpoints import csv, setpoints
-from greybox.planning.subject import subject
 
 LIMITS = Limits(box=(3.0, 2.0, 2.0), floor=0.4, speed=2.0, tilt=np.radians(25.0), command=(0.1, 0.9))
 
@@ -84,7 +84,7 @@ def test_look_alikes_are_judged_in_both_directions(made):
 @pytest.fixture(scope="module")
 def scaled(made):
     """The plan's subject with the mass known, so that nothing but noise is left to decide the common scale."""
-    return subject(
+    return planning_case(
         vehicle(), effects=["rotor_drag", "command_delay"], free=[n for n in made.subject.free if n != "mass"]
     )
 
@@ -125,7 +125,7 @@ def test_only_ratios_are_said_to_be_seen_where_nothing_fixes_the_scale(made):
 
 def test_the_choice_is_the_best_of_all_where_all_can_be_tried():
     rng = np.random.default_rng(3)
-    s = subject(vehicle(), free=["inertia.xx", "inertia.yy", "inertia.zz"])
+    s = planning_case(vehicle(), free=["inertia.xx", "inertia.yy", "inertia.zz"])
     scale = np.array([s.declared[n].scale for n in s.free])
     told = {}
     for k in range(5):
@@ -139,16 +139,16 @@ def test_the_choice_is_the_best_of_all_where_all_can_be_tried():
 
 
 def test_setpoints_only_needs_no_injected_signal(made):
-    every = pieces(made.subject.flying, LIMITS, seconds=5.0)
-    plain = pieces(made.subject.flying, LIMITS, seconds=5.0, setpoints_only=True)
+    every = excitation_blocks(made.subject.flying, LIMITS, seconds=5.0)
+    plain = excitation_blocks(made.subject.flying, LIMITS, seconds=5.0, setpoints_only=True)
     assert not any(p.injected for p in plain) and {p.name for p in plain} == {p.name for p in every if not p.injected}
     columns = setpoints([(p, 1.0) for p in plain], LIMITS, 0.01, 9.81)
     assert not any(columns[f"inj_{n}"].any() for n in ("roll", "pitch", "yaw", "thrust"))
 
 
 def test_every_piece_starts_and_ends_at_home():
-    s = subject(vehicle(), effects=["battery_sag"])
-    every = pieces(s.flying, LIMITS, seconds=5.0)
+    s = planning_case(vehicle(), effects=["battery_sag"])
+    every = excitation_blocks(s.flying, LIMITS, seconds=5.0)
     kinds = {p.kind for p in every}
     assert {"multisine", "doublets", "3-2-1-1", "coupled", "height", "speed", "battery"} <= kinds
     for p in every:
@@ -158,8 +158,8 @@ def test_every_piece_starts_and_ends_at_home():
 
 
 def test_multisines_of_different_inputs_are_orthogonal():
-    s = subject(vehicle())
-    (p,) = [p for p in pieces(s.flying, LIMITS, seconds=5.0) if p.name == "all_multisine"]
+    s = planning_case(vehicle())
+    (p,) = [p for p in excitation_blocks(s.flying, LIMITS, seconds=5.0) if p.name == "all_multisine"]
     t = np.arange(0, 5, 0.005)
     table = np.array([p.twist(float(v), 1.0) for v in t])
     r = np.corrcoef(table.T)
@@ -167,16 +167,16 @@ def test_multisines_of_different_inputs_are_orthogonal():
 
 
 def test_a_piece_is_made_smaller_until_it_fits():
-    s = subject(vehicle())
+    s = planning_case(vehicle())
     narrow = Limits(box=(4.0, 4.0, 2.5), speed=3.0, tilt=np.radians(8.0), command=(0.1, 0.9))
-    by_name = {p.name: p for p in pieces(s.flying, LIMITS, seconds=5.0)}
+    by_name = {p.name: p for p in excitation_blocks(s.flying, LIMITS, seconds=5.0)}
     wide, small = (fit_in(s.flying, by_name["roll_multisine"], room) for room in (LIMITS, narrow))
     assert wide is not None and small is not None
     assert small.amplitude < wide.amplitude
 
 
 def test_a_model_brings_its_values_and_what_its_flights_told(fitted):
-    after = subject(model=fitted.model, effects=["rotor_drag"])
+    after = planning_case(model=fitted.model, effects=["rotor_drag"])
     assert after.known_before["command_delay.d"] == pytest.approx(fitted["command_delay.d"].std, rel=1e-3)
     assert after.values["command_delay.d"] == fitted["command_delay.d"].value
     assert set(after.wanted) == {"rotor_drag.k_x", "rotor_drag.k_y"}

@@ -13,7 +13,7 @@ from greybox.commands.responses import responses
 from greybox.data import Dataset
 from greybox.report.fit_report import fit_report
 from greybox.report.response_section import Responses
-from tests.estimation.test_frequency_responses_of_flights import SIGNS, flights
+from tests.linear.test_frequency_responses_of_flights import SIGNS, flights
 from tests.report.synthetic_fit import make_fit
 from tests.simulators.identified import identified
 

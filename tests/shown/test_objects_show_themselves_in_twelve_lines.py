@@ -24,8 +24,8 @@ from greybox.discovery.result import Discovery
 from greybox.discovery.worth import Worth
 from greybox.errors import GreyboxError, MissingExtraError
 from greybox.estimation.fit import Fit
-from greybox.estimation.linear.fit import LinearFit, Record
 from greybox.estimation.profile import Profile
+from greybox.linear.fit import LinearFit, Record
 from greybox.model.identified import IdentifiedModel
 from greybox.model.plausibility import check_vehicle
 from greybox.plots import Curve, panels
@@ -228,10 +228,10 @@ def test_whatever_a_public_function_gives_back_shows_itself() -> None:
 
 def _type_checking(source: typing.Any, name: str) -> type:
     """A class that a module imports only for types."""
-    from greybox.estimation.frf_result import FrequencyResponse
+    from greybox.baselines.output_residual import OutputHybrid
     from greybox.estimation.profile import Profile
+    from greybox.linear.frf_result import FrequencyResponse
     from greybox.model.linear import LinearModel
-    from greybox.residual.output_residual import OutputHybrid
 
     return {k.__name__: k for k in (FrequencyResponse, IdentifiedModel, LinearModel, OutputHybrid, Profile)}[name]
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greybox.baselines.base_predictor import BasePredictor
 from greybox.errors import ModelError
 from greybox.model.linear import LinearModel
 from greybox.model.matrices import Matrices
-from greybox.residual.base_predictor import BasePredictor
 from greybox.symbolic import Layout, Signal
 from mpc_export.predictors import predictor_model
 from mpc_export.rates.controller import RateController, RateProblem

@@ -1,0 +1,130 @@
+"""compare: all methods on the same flights, judged on the same samples, with what they cost.
+
+| method | what it is | tuned |
+|---|---|---|
+| persistence | the last measured value | |
+| linear SISO PEM | one linear model per output, driven by its axis (roll, pitch, yaw, collective) | order by BIC |
+| linear MIMO PEM | one linear model, rotor commands to all outputs | order by BIC |
+| nonlinear PEM | the Newton-Euler model with its effects | |
+| linear PEM + GP | the paper's hybrid: output residual of the SISO models | `budget` candidates |
+| nonlinear PEM + GP | `learn`: force and torque in body axes | its own candidates, on left-out flights |
+| nonlinear PEM + output GP | output residual of the nonlinear model | `budget` candidates |
+| GP alone | NARX | `budget` candidates |
+| LSTM | as in Ghoul et al. 2026 | `budget` candidates |
+
+On request also linear SISO, linear MIMO and nonlinear PEM, each with other learners (`compare_methods.pairs`).
+
+Candidates are judged on training flights that were held back for it; nothing looks at the test flights. The commands that
+linear models, black boxes and residuals use for y(t) end one sample before t. Black boxes see rates, specific force, body
+velocity and direction of gravity (`black_box_view`), predict all of them, and get their pose by the kinematics of
+`greybox.baselines.kinematics`; linear models and output residuals predict the IMU and get theirs likewise. The one-step
+variance of a model of motion is scaled per channel to its errors on the training flights, where those of the other methods
+come from too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.baselines.compare_bench import Bench, Outcome
+from greybox.baselines.compare_methods import METHODS, pairs
+from greybox.baselines.compare_scores import one_step_scores
+from greybox.data.channel import channel
+from greybox.errors import GreyboxError, UnknownNameError
+from greybox.model.identified import library_versions
+from greybox.residual.learners import GP, LEARNERS
+
+SCHEMA = "greybox.compare/1"
+SHOWN = 4.0
+"""Seconds of the first test flight that the figure of predictions shows."""
+
+
+def compare(
+    bench: Bench, methods: Sequence[str] | None = None, *, learners: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
+    """Run the methods one after the other; yields the content of compare.json after each.
+
+    `methods` (default: all of the table; pairs have names too), then every model with each of `learners` (`pairs`). A
+    method that fails has its error in its row. Raises `UnknownNameError` for a method that there is not, and as `pairs`.
+    """
+    more = pairs(learners)
+    there = {**METHODS, **pairs((GP, *LEARNERS)), **more}
+    chosen = tuple(dict.fromkeys((*(METHODS if methods is None else methods), *more)))
+    if not chosen:
+        raise GreyboxError("nothing to compare", fix=f"--methods {','.join(list(METHODS)[:2])}, or --learners")
+    for name in chosen:
+        if name not in there:
+            raise UnknownNameError("method", name, there)
+    rows: list[dict[str, Any]] = []
+    for name in chosen:
+        bench.say(f"{name} ...")
+        began = time.perf_counter()
+        try:
+            rows.append(_row(bench, name, there[name](bench)))
+        except Exception as error:  # whatever a method does, the others keep their rows
+            rows.append({"method": name, "status": "failed", "error": f"{type(error).__name__}: {error}"})
+        bench.say(f"{name}: {rows[-1]['status']} after {time.perf_counter() - began:.0f} s")
+        yield _content(bench, rows, [n for n in chosen if n not in {r["method"] for r in rows}])
+
+
+def _row(bench: Bench, name: str, found: Outcome) -> dict[str, Any]:
+    measured, means, variances, inputs = [], [], [], []
+    for s, rows, m, v in zip(bench.segments, bench.late, found.mean, found.variance, strict=True):
+        if rows.any():
+            measured.append(s.matrix(bench.outputs)[rows])
+            means.append(m[rows])
+            variances.append(v[rows])
+            inputs.append(s.matrix(bench.commands)[rows])
+    scored = one_step_scores(
+        measured, means, variances, inputs, names=bench.outputs, units=[channel(n).unit for n in bench.outputs],
+        spread=bench.spread, dt=bench.dt,
+    )  # fmt: skip
+    table = found.table
+    return {
+        "method": name, "status": "done", **scored,
+        "multi_step": None if table is None else table.to_dict(bench.horizons),
+        "curve": None if table is None else table.curve(),
+        "parameters": found.parameters, "train_seconds": found.seconds, "microseconds_per_sample": found.microseconds,
+        "search": list(found.search), "settings": dict(found.settings),
+        "series": _series(bench, found),
+    }  # fmt: skip
+
+
+def _series(bench: Bench, found: Outcome) -> dict[str, Any]:
+    """A few seconds of the first test segment for the figure: mean and standard deviation per channel."""
+    i = 0
+    rows = np.flatnonzero(bench.late[i])[: round(SHOWN / bench.dt)]
+    mean, std = found.mean[i][rows], np.sqrt(found.variance[i][rows])
+    return {n: {"mean": mean[:, j], "std": std[:, j]} for j, n in enumerate(bench.outputs)}
+
+
+def _content(bench: Bench, rows: Sequence[Mapping[str, Any]], missing: Sequence[str]) -> dict[str, Any]:
+    first = np.flatnonzero(bench.late[0])[: round(SHOWN / bench.dt)]
+    segment = bench.segments[0]
+    return {
+        "schema": SCHEMA,
+        "vehicle": bench.vehicle.name,
+        "train": list(bench.train.names), "test": list(bench.test.names),
+        "sample_time": bench.dt, "channels": list(bench.outputs),
+        "units": {n: channel(n).unit for n in bench.outputs},
+        "train_std": dict(zip(bench.outputs, bench.spread.tolist(), strict=True)),
+        "adapt": bench.adapt, "budget": bench.budget, "seed": bench.seed, "horizons": list(bench.horizons),
+        "origin_spacing": bench.every * bench.dt,
+        "held_back": sorted({s.flight for s in bench.split[1]}),
+        "black_box_inputs": list(bench.inputs),
+        "methods": list(rows),
+        "dead_reckoning": bench.extra_tables["dead reckoning"].to_dict(bench.horizons)
+        if "dead reckoning" in bench.extra_tables else None,
+        "dead_reckoning_curve": bench.extra_tables["dead reckoning"].curve()
+        if "dead reckoning" in bench.extra_tables else None,
+        "not_run": list(missing),
+        "measured": {
+            "flight": segment.flight, "t": segment.t[first],
+            "channels": {n: segment.column(n)[first] for n in bench.outputs},
+        },
+        "versions": library_versions(),
+    }  # fmt: skip

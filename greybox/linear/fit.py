@@ -1,0 +1,368 @@
+"""fit_linear: from records to a linear model with error bars. The one call that scripts and the command line use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypedDict, Unpack
+
+import numpy as np
+
+from greybox.errors import DataError, UnknownNameError
+from greybox.estimation.options import chosen, says_choices
+from greybox.linear.order import OrderChoice, choose_order
+from greybox.linear.pem import Settings, Solution, Status
+from greybox.linear.records import Record, Scaling, prepare
+from greybox.linear.robust import correlation_window, score_covariance
+from greybox.linear.search import Found, Options, find, refine
+from greybox.linear.uncertainty import Uncertainty, rescaled, uncertainty
+from greybox.linear.varx import estimate_delays
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import spectral_radius
+from greybox.shown import Cell, Shown
+from greybox.statistics.whiteness import is_coloured
+from greybox.symbolic import FloatArray, Layout, Signal
+
+__all__ = ["LinearFit", "Options", "Record", "Settings", "fit_linear"]
+
+SOLVERS = ("gauss-newton", "ipopt")
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LinearFit(Shown):
+    """A fitted linear model. Holds innovations (per record (N, p), NaN where missing) but no raw data.
+
+    `criterion` is -2 log likelihood in the units of the channels, `parameters` the number of free directions (initial
+    states and offsets not counted). `x0` and `offsets` belong to the records, in state coordinates and channel units.
+    `uncertainty` is the robust one where the innovations are `coloured` and the data are long enough for it, else `fisher`.
+    """
+
+    model: LinearModel
+    uncertainty: Uncertainty
+    fisher: Uncertainty
+    robust: Uncertainty | None
+    coloured: bool
+    status: Status
+    iterations: int
+    decrement: float
+    criterion: float
+    parameters: int
+    rank: int
+    samples: int
+    start: str
+    singular_values: FloatArray
+    innovations: tuple[FloatArray, ...]
+    x0: tuple[FloatArray, ...]
+    offsets: tuple[FloatArray, ...]
+    records: tuple[str, ...]
+    order_choice: OrderChoice | None = None
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return self.model.order
+
+    @property
+    def converged(self) -> bool:
+        """Did the polish converge?"""
+        return self.status.converged
+
+    @property
+    def errors(self) -> str:
+        """Which standard errors `uncertainty` holds: "fisher" or "robust"."""
+        return "fisher" if self.robust is None else "robust"
+
+    @property
+    def log_det(self) -> float:
+        """log det Lambda of the training innovations, channel units."""
+        return float(np.linalg.slogdet(self.model.noise)[1])
+
+    def _shown_text(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _shown_rows(self) -> list[dict[str, Cell]]:
+        """One row per pole (of a pair the upper one): value and standard errors of its parts."""
+        poles = self.uncertainty.poles()
+        return [
+            {
+                "real": float(v.real), "imag": float(v.imag), "std real": float(np.sqrt(c[0, 0])),
+                "std imag": float(np.sqrt(c[1, 1])), "well determined": bool(sure),
+            }
+            for v, c, sure in zip(
+                poles.value, poles.covariance, self.uncertainty.well_determined(), strict=True
+            )
+            if v.imag >= 0
+        ]  # fmt: skip
+
+    def summary(self) -> str:
+        """A few lines for the terminal."""
+        poles = self.uncertainty.poles()
+        lines = [
+            f"order {self.order}, {len(self.model.inputs)} inputs, {len(self.model.outputs)} outputs, "
+            f"{self.samples} samples in {len(self.records)} records, {self.parameters} free parameters",
+            f"{self.status.value} ({self.iterations} iterations, start: {self.start})",
+            f"-2 log likelihood {self.criterion:.2f}, log det Lambda {self.log_det:.4f}",
+        ]
+        for value, cov, sure in zip(poles.value, poles.covariance, self.uncertainty.well_determined()):
+            if value.imag >= 0:
+                std = np.sqrt(np.diag(cov))
+                im = f" +- {value.imag:.5f}j (std {std[1]:.5f})" if value.imag > 0 else ""
+                weak = "" if sure else "  weak or crowded mode: the error is larger than that"
+                lines.append(f"pole {value.real:+.5f} (std {std[0]:.5f}){im}{weak}")
+        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
+
+
+class LinearChoices(TypedDict, total=False):
+    """The keywords of `fit_linear`: the fields of `LinearSetup`, which says what they mean."""
+
+    dt: float
+    inputs: Sequence[str | Signal] | None
+    outputs: Sequence[str | Signal] | None
+    delays: Sequence[int] | str | None
+    largest: int
+    criterion: Literal["aic", "aicc", "bic"]
+    cross_validate: bool
+    center: bool
+    solver: Literal["gauss-newton", "ipopt"]
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearSetup:
+    """What the columns of the records are, and how order and parameters are found."""
+
+    dt: float = 1.0
+    """Sample time [s]."""
+    inputs: Sequence[str | Signal] | None = None
+    """Names of the input columns; None: u1, u2, ..."""
+    outputs: Sequence[str | Signal] | None = None
+    """Names of the output columns; None: y1, y2, ..."""
+    delays: Sequence[int] | str | None = None
+    """Whole samples per input, or "auto" (see `estimate_delays`)."""
+    largest: int = 10
+    """Largest order that "auto" tries."""
+    criterion: str = "bic"
+    """What "auto" chooses the order by: "aic", "aicc" or "bic"."""
+    cross_validate: bool = False
+    """Whether orders are also compared on left-out records."""
+    center: bool = True
+    """Whether the pooled means are the operating point."""
+    solver: str = "gauss-newton"
+    """"gauss-newton", or "ipopt": slow, a check."""
+    name: str = "linear"
+    """Name of the model."""
+
+
+@says_choices(LinearSetup)
+def fit_linear(
+    records: Sequence[Record],
+    order: int | str = "auto",
+    *,
+    options: Options | None = None,
+    **choices: Unpack[LinearChoices],
+) -> LinearFit:
+    """Identify a linear model in innovation form by subspace start and prediction error polish.
+
+    `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see `choose_order`). `delays`
+    are whole samples per input, or "auto" (see `estimate_delays`). `dt` in seconds. `center` takes the pooled means as
+    the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace start, or from the chosen
+    order: slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults.
+    Raises `DataError` (bad records, too short for the order), `FitError` and `UnknownNameError` (of a choice, too).
+    """
+    if not records:
+        raise DataError("no records", fix="pass at least one log to train on")
+    options, setup = options or Options(), chosen("option of a linear fit", LinearSetup(), choices)
+    delays, center, solver = setup.delays, setup.center, setup.solver
+    if solver not in SOLVERS:
+        raise UnknownNameError("solver", solver, SOLVERS)
+    m, p = records[0].u.shape[1], records[0].y.shape[1]
+    layout_u, layout_y = _layout(setup.inputs, m, "u"), _layout(setup.outputs, p, "y")
+    if isinstance(delays, str):
+        if delays != "auto":
+            raise DataError(f"delays '{delays}'", expected="'auto' or one whole number per input")
+        unit, _ = prepare(records, center=center, input_names=layout_u.names, output_names=layout_y.names)
+        delays = estimate_delays(unit) if m else ()
+    scaled, scaling = prepare(
+        records, delays=delays, center=center, input_names=layout_u.names, output_names=layout_y.names
+    )
+    choice: OrderChoice | None = None
+    if isinstance(order, str):
+        if order != "auto":
+            raise DataError(f"order '{order}'", expected="'auto' or a whole number")
+        choice = choose_order(
+            scaled,
+            setup.largest,
+            options,
+            criterion=setup.criterion,
+            cross_validate=setup.cross_validate,
+            names=layout_y.names,
+            input_names=layout_u.names,
+        )
+        found = refine(choice.found[choice.order], scaled, options)
+    else:
+        if order < 1:
+            raise DataError(f"order {order}", expected="at least 1")
+        found = find(scaled, order, replace(options, polish=options.polish and solver == "gauss-newton"))
+    if solver == "ipopt" and options.polish:
+        from greybox.linear.ipopt import minimise_ipopt
+
+        found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
+    late = tuple(delays or (0,) * m)
+    return _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
+
+
+def _assemble(
+    found: Found,
+    scaled: Sequence[Record],
+    scaling: Scaling,
+    options: Options,
+    choice: OrderChoice | None,
+    dt: float,
+    inputs: Layout,
+    outputs: Layout,
+    delays: tuple[int, ...],
+    name: str,
+) -> LinearFit:
+    s: Solution = found.solution
+    sy, su = scaling.output_scale, scaling.input_scale
+    samples = sum(len(r) for r in scaled)
+    weights = np.array([len(r) for r in scaled], dtype=float)
+    offsets = np.array([v.offset for v in s.nuisances]) * sy + scaling.output_offset
+    noise = s.evaluation.noise * np.outer(sy, sy)
+    free = s.tangent.shape[1]
+    fisher, rank = uncertainty(s.system, s.information, s.tangent)
+    innovations = tuple(np.where(np.isfinite(r.y), q.e, np.nan) for r, q in zip(scaled, s.evaluation.predictions))
+    coloured = is_coloured(list(innovations))
+    scores = score_covariance(s, scaled, options.settings, correlation_window(innovations)) if coloured else None
+    robust = None if scores is None else uncertainty(s.system, s.information, s.tangent, scores)[0]
+    # Lambda is estimated with as many degrees of freedom as samples; the covariance uses the unbiased scale.
+    seen = sum(int(np.isfinite(r.y).sum()) for r in scaled)
+    unbiased = seen / max(seen - free, 1)
+    fisher = _in_units(fisher, unbiased, su, sy)
+    robust = None if robust is None else _in_units(robust, unbiased, su, sy)
+    jumps = 2 * float(sum(np.isfinite(r.y).sum(axis=0) @ np.log(sy) for r in scaled))
+    status = s.status if options.polish else Status.NOT_RUN
+    model = LinearModel(
+        name=name,
+        matrices=fisher.system,
+        noise=(noise + noise.T) / 2,
+        dt=dt,
+        inputs=inputs,
+        outputs=outputs,
+        delays=delays,
+        input_offset=scaling.input_offset,
+        output_offset=weights @ offsets / weights.sum(),
+        comment=f"{samples} samples, {len(scaled)} records",
+    )
+    return LinearFit(
+        model=model,
+        uncertainty=robust or fisher,
+        fisher=fisher,
+        robust=robust,
+        coloured=coloured,
+        status=status,
+        iterations=s.iterations,
+        decrement=s.decrement,
+        criterion=s.evaluation.criterion + jumps,
+        parameters=free,
+        rank=rank,
+        samples=samples,
+        start=found.start,
+        singular_values=found.singular_values,
+        innovations=tuple(e * sy for e in innovations),
+        x0=tuple(v.x0 for v in s.nuisances),
+        offsets=tuple(offsets),
+        records=tuple(r.name for r in scaled),
+        order_choice=choice,
+        warnings=tuple(_warnings(s, rank, free, scaled, model, coloured and robust is None)),
+    )
+
+
+def _in_units(known: Uncertainty, variance_factor: float, su: FloatArray, sy: FloatArray) -> Uncertainty:
+    return rescaled(Uncertainty(system=known.system, factor=known.factor * np.sqrt(variance_factor)), su, sy)
+
+
+def _warnings(
+    s: Solution, rank: int, free: int, scaled: Sequence[Record], model: LinearModel, boastful: bool
+) -> list[str]:
+    out: list[str] = []
+    if boastful:
+        out.append(
+            "the innovations are coloured and the records too short (or too long to hold) for robust standard errors: "
+            "those given are too small"
+        )
+    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT, Status.START_KEPT):
+        out.append(s.status.value)
+    if rank < free:
+        out.append(
+            f"the data determine {rank} of {free} parameter directions: lower the order or excite more; "
+            "standard errors cover the determined directions only"
+        )
+    missing = sum(r.missing for r in scaled)
+    if missing:
+        out.append(f"{missing} samples with missing outputs were bridged by the Kalman filter")
+    radius = spectral_radius(model.matrices.a)
+    if radius >= 1.0:
+        out.append(
+            f"the model is unstable (largest pole {radius:.4f}): one-step prediction works, free simulation drifts"
+        )
+    if spectral_radius(model.matrices.predictor) > 0.9995:
+        out.append("the predictor sits at the stability limit: standard errors are not reliable there")
+    return out
+
+
+def _layout(given: Sequence[str | Signal] | None, count: int, letter: str) -> Layout:
+    if given is None:
+        return Layout([Signal(name=f"{letter}{i + 1}", unit="1") for i in range(count)])
+    if len(given) != count:
+        raise DataError(f"{len(given)} names for {count} channels", got=", ".join(str(g) for g in given))
+    return Layout([g if isinstance(g, Signal) else Signal(name=g, unit="1") for g in given])
+
+
+def to_dict(fit: LinearFit) -> dict[str, Any]:
+    """Plain values of a fit (schema greybox.linear_fit/1 is built on this by the command line)."""
+    poles, limits = fit.uncertainty.poles(), fit.uncertainty.predictor_poles()
+    value: dict[str, Any] = {
+        "order": fit.order,
+        "status": {"name": fit.status.name.lower(), "advice": fit.status.value, "converged": fit.converged},
+        "iterations": fit.iterations,
+        "samples": fit.samples,
+        "parameters": fit.parameters,
+        "rank": fit.rank,
+        "start": fit.start,
+        "minus_two_log_likelihood": fit.criterion,
+        "log_det_lambda": fit.log_det,
+        "delays": list(fit.model.delays),
+        "standard_errors": fit.errors,
+        "innovations_coloured": fit.coloured,
+        "poles": [
+            {**row, "strength": float(strength), "well_determined": bool(sure)}
+            for row, strength, sure in zip(
+                _complex_rows(poles.value, poles.covariance),
+                fit.uncertainty.pole_strengths(),
+                fit.uncertainty.well_determined(),
+            )
+        ],
+        "noise_model_zeros": _complex_rows(limits.value, limits.covariance),
+        "singular_values": fit.singular_values,
+        "records": [{"name": n, "x0": x0, "offset": offset} for n, x0, offset in zip(fit.records, fit.x0, fit.offsets)],
+        "warnings": list(fit.warnings),
+    }
+    if fit.order_choice is not None:
+        value["order_choice"] = fit.order_choice.to_dict()
+    return value
+
+
+def _complex_rows(values: np.ndarray, covariance: FloatArray) -> list[dict[str, float]]:
+    return [
+        {
+            "real": float(v.real),
+            "imag": float(v.imag),
+            "std_real": float(np.sqrt(c[0, 0])),
+            "std_imag": float(np.sqrt(c[1, 1])),
+            "covariance": float(c[0, 1]),
+        }
+        for v, c in zip(values, covariance)
+    ]

@@ -1,0 +1,417 @@
+"""Prediction error method for linear models: damped Newton steps on the exact gradient and Hessian.
+
+Criterion: N log det( 1/N sum e e' ), the Gaussian likelihood with Lambda concentrated out (Ljung 1999, section 7.4 and
+equation 15.2b). The initial state and the output offset of every record are nuisance parameters that are eliminated
+block by block. A step that leaves the region of stable predictors is refused, so that A - KC is stable by construction.
+The Hessian is exact for free models on records without holes (`gram`), else that of Gauss-Newton.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.errors import FitError
+from greybox.linear.gram import Gram, separable
+from greybox.linear.parametrisation import Free, Parametrisation
+from greybox.linear.predictor import (
+    Modes,
+    Prediction,
+    predict,
+    sensitivities,
+    start_sensitivities,
+)
+from greybox.linear.records import Record
+from greybox.model.matrices import Matrices, spectral_radius
+from greybox.symbolic import FloatArray
+
+FIRST_DAMPING = 1e-3
+"""Of a Hessian scaled to unit information."""
+FLAT_GAIN = 0.05
+"""Gain of three steps together, in -2 log likelihood, below which the iteration ends as `Status.FLAT`; at most 5 times the
+tolerance. Much more would stop on plateaus behind which states of real flights were found."""
+
+
+FORGET = 3.0
+"""Time constants of the slowest predictor mode that the longest record must hold; exp(-3) of the start is then left."""
+
+
+class Status(Enum):
+    """How the iteration ended; the value is advice."""
+
+    CONVERGED = "converged: a further step would change the estimate by less than a tenth of a standard error"
+    FLAT = (
+        "not converged: the steps gain next to nothing although the likelihood is not at a maximum, because the data hardly "
+        "determine some direction: lower the order"
+    )
+    STALLED = (
+        "not converged: no step improves the likelihood although the gradient is not zero; the model may sit at the "
+        "stability limit or have more states than the data carry: lower the order"
+    )
+    MAX_ITERATIONS = "not converged: iteration limit reached; raise max_iterations or start from another method"
+    START_KEPT = (
+        "kept at the subspace start: the data do not determine some direction, and the polish gained no more than chance "
+        "does there: lower the order"
+    )
+    NOT_RUN = "not polished: this is the subspace start"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimum was reached."""
+        return self is Status.CONVERGED
+
+    @property
+    def final(self) -> bool:
+        """Whether nothing is left to try: the optimum, or a start that no polish improves beyond chance."""
+        return self in (Status.CONVERGED, Status.START_KEPT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nuisance:
+    """Per record: initial state x0 (n,) and output offset (p,), in the scaled units of the fit."""
+
+    x0: FloatArray
+    offset: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """`stable` demands |eig A| < 1; `offsets` frees one per record. The iteration stops as converged where the Hessian has
+    no negative curvature and a full step promises less than `tolerance` of -2 log likelihood. That decrease is the square
+    of the step in standard errors, over all directions together: 0.01 is a tenth of a standard error.
+
+    `weigh_start`: whether the polish must pay for itself where the likelihood is no bump (`worth_leaving`).
+    """
+
+    max_iterations: int = 100
+    tolerance: float = 1e-2
+    stable: bool = False
+    offsets: bool = True
+    free_start: bool = True
+    radius: float = 1.0 - 1e-7
+    weigh_start: bool = False
+
+
+class Evaluation(NamedTuple):
+    """Criterion at a point: -2 log likelihood (with constants), Lambda (p, p), predictions per record."""
+
+    criterion: float
+    noise: FloatArray
+    predictions: list[Prediction]
+    modes: Modes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Where the iteration ended. `information` (d, d) is J'J of whitened innovations along `tangent` (q, d)."""
+
+    point: Parametrisation
+    nuisances: tuple[Nuisance, ...]
+    evaluation: Evaluation
+    information: FloatArray
+    tangent: FloatArray
+    status: Status
+    iterations: int
+    decrement: float
+
+    @property
+    def system(self) -> Matrices:
+        """The matrices at the solution, in scaled units."""
+        return self.point.system
+
+
+def evaluate(
+    system: Matrices, nuisances: Sequence[Nuisance], records: Sequence[Record], noise: FloatArray
+) -> Evaluation:
+    """Innovations and criterion. `noise` is the Lambda used where samples miss; the returned one is re-estimated."""
+    modes = Modes(system.predictor)
+    holes = any(r.missing for r in records)
+    p = len(system.c)
+    for _ in range(2 if holes else 1):
+        predictions = [predict(system, r, v.x0, v.offset, noise, modes) for r, v in zip(records, nuisances)]
+        total, used = np.zeros((p, p)), 0
+        for prediction, record in zip(predictions, records):
+            e = prediction.e
+            if prediction.gains is not None:
+                settled = np.isfinite(record.y).all(axis=1) & (
+                    np.abs(prediction.gains - system.k).max(axis=(1, 2)) < 1e-9
+                )
+                e = e[settled] if settled.sum() > 5 * p else e[np.isfinite(record.y).all(axis=1)]
+            total += e.T @ e
+            used += len(e)
+        if not np.isfinite(total).all() or used <= p:
+            return Evaluation(np.inf, noise, predictions, modes)
+        noise = total / used
+    sign, value = np.linalg.slogdet(noise)
+    # A correlation matrix of determinant below exp(-30): an output is a combination of others, up to rounding.
+    if sign <= 0 or not np.isfinite(value) or value - np.log(np.diag(noise)).sum() < -30.0:
+        return Evaluation(np.inf, noise, predictions, modes)
+    cost = 0.0
+    for prediction, record in zip(predictions, records):
+        seen = int(np.isfinite(record.y).sum()) if prediction.gains is not None else prediction.e.size
+        cost += seen * np.log(2 * np.pi)
+        if prediction.whitener is None:
+            cost += len(record) * value
+        else:
+            cost += prediction.log_det + float((np.einsum("kij,kj->ki", prediction.whitener, prediction.e) ** 2).sum())
+    # Over all records together e' Lambda^-1 e sums to p per sample; with holes only some of them are summed here.
+    inverse = np.linalg.inv(noise)
+    for q in predictions:
+        if q.whitener is None:
+            cost += p * len(q.e) if not holes else float(np.einsum("ki,ij,kj->", q.e, inverse, q.e, optimize=True))
+    return Evaluation(float(cost), noise, predictions, modes)
+
+
+class Normal(NamedTuple):
+    """Half the gradient and Hessian of the criterion with the nuisances eliminated, and what brings those back.
+
+    `information` is J'J of whitened innovations, `hessian` the exact one where it is known, else the same.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    hessian: FloatArray
+    back: list[tuple[FloatArray, FloatArray]]
+
+
+def normal_equations(
+    point: Parametrisation, records: Sequence[Record], evaluation: Evaluation, settings: Settings
+) -> Normal:
+    """J'J, J'e and Hessian along the tangent; per record (N'N)^-1 [N'e, N'J] to go back. Exact for straight steps."""
+    tangent = point.tangent()
+    d = tangent.shape[1]
+    n, _, p = point.system.sizes
+    whitener = np.linalg.inv(np.linalg.cholesky(evaluation.noise))
+    holes = any(q.gains is not None for q in evaluation.predictions)
+    modal = Gram(point.system, evaluation.modes, tangent, whitener) if separable(evaluation.modes) else None
+    exact = modal is not None and not holes and isinstance(point, Free)
+    h, g, second, mixed = np.zeros((d, d)), np.zeros(d), np.zeros((d, d)), np.zeros((p, p, d))
+    back = []
+    keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
+    for record, prediction in zip(records, evaluation.predictions):
+        if modal is not None and prediction.gains is None:
+            parts = modal.parts(record, prediction)
+            whole, right, products = parts.information, parts.gradient, parts.mixed
+            second += parts.second
+        else:
+            whole, right = _by_jacobian(point.system, record, prediction, evaluation.modes, whitener, tangent)
+            products = np.zeros((p, p, d + n + p))
+        start, slope = np.zeros(n + p), np.zeros((n + p, d))
+        cross = whole[d:, :d][keep]
+        inverse = np.linalg.pinv(whole[d:, d:][np.ix_(keep, keep)], rcond=1e-11, hermitian=True)
+        start[keep], slope[keep] = inverse @ right[d:][keep], inverse @ cross
+        h += whole[:d, :d] - cross.T @ slope[keep]
+        g += right[:d] - cross.T @ start[keep]
+        mixed += products[:, :, :d] - (products[:, :, d:].reshape(p * p, n + p) @ slope).reshape(p, p, d)
+        back.append((start, slope))
+    h = (h + h.T) / 2
+    if not exact:
+        return Normal(h, g, h, back)
+    turn = (mixed + mixed.transpose(1, 0, 2)).reshape(p * p, d)
+    return Normal(h, g, h - second - turn.T @ turn / (2 * sum(len(r) for r in records)), back)
+
+
+def _by_jacobian(
+    system: Matrices, record: Record, prediction: Prediction, modes: Modes, whitener: FloatArray, tangent: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """J'J and J'e of one record, columns along the tangent, x0 and offset: the slow way, for holes and joined modes."""
+    j, jx, jc = sensitivities(system, record, prediction, modes)
+    whole = np.concatenate([j @ tangent, jx, jc], axis=2)
+    if prediction.whitener is None:
+        whole = np.einsum("ij,kjd->kid", whitener, whole, optimize=True)
+        e = prediction.e @ whitener.T
+    else:
+        whole = np.einsum("kij,kjd->kid", prediction.whitener, whole, optimize=True)
+        e = np.einsum("kij,kj->ki", prediction.whitener, prediction.e)
+    flat = whole.reshape(-1, whole.shape[2])
+    return flat.T @ flat, flat.T @ e.ravel()
+
+
+def start_nuisances(system: Matrices, records: Sequence[Record], settings: Settings) -> tuple[Nuisance, ...]:
+    """Least squares initial states and offsets for fixed matrices, scaled records assumed."""
+    n, _, p = system.sizes
+    modes = Modes(system.predictor)
+    out = []
+    for r in records:
+        zero = Nuisance(x0=np.zeros(n), offset=np.zeros(p))
+        if not (settings.free_start or settings.offsets):
+            out.append(zero)
+            continue
+        prediction = predict(system, r, zero.x0, zero.offset, np.eye(p), modes)
+        if prediction.gains is None and modes.usable:
+            jx, jc = start_sensitivities(system, modes, len(r))
+        else:
+            _, jx, jc = sensitivities(system, r, prediction)
+        keep = np.concatenate([np.full(n, settings.free_start), np.full(p, settings.offsets)])
+        whole = np.concatenate([jx, jc], axis=2).reshape(-1, n + p)[:, keep]
+        value = np.zeros(n + p)
+        value[keep] = np.linalg.pinv(whole.T @ whole, rcond=1e-13, hermitian=True) @ (whole.T @ prediction.e.ravel())
+        out.append(Nuisance(x0=value[:n], offset=value[n:]))
+    return tuple(out)
+
+
+def minimise(
+    point: Parametrisation,
+    records: Sequence[Record],
+    settings: Settings | None = None,
+    *,
+    nuisances: Sequence[Nuisance] | None = None,
+) -> Solution:
+    """Minimise the criterion from `point`; records scaled by `prepare`. Raises `FitError` for a useless start."""
+    settings = settings or Settings()
+    radius = _forgetful(settings, point, records)
+    if not _allowed(point.system, settings, radius):
+        raise FitError("the start has an unstable predictor", fix="start from a subspace method")
+    current = tuple(nuisances) if nuisances is not None else start_nuisances(point.system, records, settings)
+    noise = np.eye(len(point.system.c))
+    here = evaluate(point.system, current, records, noise)
+    if not np.isfinite(here.criterion):
+        raise FitError(
+            "the criterion is not finite at the start: an output is predicted without error",
+            fix="lower the order, or drop outputs that are combinations of others",
+        )
+    # With holes the sensitivities are those of a frozen gain: the last digits of the descent are not to be had.
+    holes = any(r.missing for r in records)
+    tries, near = (12, 0.1) if holes else (25, max(1e-3, 1e3 * settings.tolerance))
+    tolerance = max(settings.tolerance, 1e-2) if holes else settings.tolerance
+    damping, status, iteration, decrement = FIRST_DAMPING, Status.MAX_ITERATIONS, 0, np.inf
+    normal = normal_equations(point, records, here, settings)
+    if not _finite(normal):
+        raise FitError(
+            "the sensitivities are not finite at the start", fix="start from another method or a lower order"
+        )
+    gains: list[float] = []
+    begin, bump = (point, current, here, normal), True
+    while True:
+        model = _Quadratic.of(normal)
+        bump = bump and (iteration > 0 or model.convex)
+        decrement = model.decrement
+        if decrement < tolerance and model.convex:
+            status = Status.CONVERGED
+            break
+        if len(gains) >= 3 and sum(gains[-3:]) < min(FLAT_GAIN, 5 * tolerance):
+            status = Status.FLAT
+            break
+        if iteration >= settings.max_iterations:
+            break
+        iteration += 1
+        following = None
+        for _ in range(tries):
+            step, promised = model.step(damping)
+            trial = point.moved(step)
+            if _allowed(trial.system, settings, radius):
+                moved = _moved(current, normal.back, step)
+                there = evaluate(trial.system, moved, records, here.noise)
+                if there.criterion < here.criterion:
+                    following = normal_equations(trial, records, there, settings)
+                    if _finite(following):
+                        break
+                    following = None
+            damping = max(damping, 1e-6) * 8.0
+        if following is None:
+            status = Status.CONVERGED if decrement < near else Status.STALLED
+            break
+        gain = here.criterion - there.criterion
+        damping = damping / 10.0 if gain > 0.5 * promised else damping * 2.0 if gain < 0.1 * promised else damping
+        damping = damping if damping > 1e-8 else 0.0
+        gains.append(gain)
+        point, current, here, normal = trial, moved, there, following
+    ended = status in (Status.CONVERGED, Status.FLAT)
+    if settings.weigh_start and ended and not bump and not worth_leaving(sum(gains), point.tangent().shape[1]):
+        (point, current, here, normal), status = begin, Status.START_KEPT
+    return Solution(
+        point=point,
+        nuisances=current,
+        evaluation=here,
+        information=normal.information,
+        tangent=point.tangent(),
+        status=status,
+        iterations=iteration,
+        decrement=float(decrement),
+    )
+
+
+def worth_leaving(gain: float, directions: int) -> bool:
+    """Whether the `gain` in -2 log likelihood is more than `directions` free directions cost a prediction of other data.
+
+    With x the whitened way from start to end, E|x|^2 = |mean|^2 + d: staying risks |mean|^2, of which gain - d is the
+    unbiased estimate, going risks d (Stein 1981, Annals of Statistics 9(6); the same bar as Akaike's). It is asked only
+    where the Hessian at the start has negative curvature. Else the start lies in the basin of a regular optimum, which is
+    the efficient estimate. Without one (states that cancel: an order too high) the maximum is that of a random field over
+    the poles that nothing determines, and fits the record better than it foretells another.
+    """
+    return gain > 2.0 * directions
+
+
+def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:
+    """Radius within which the predictor forgets its start over the longest record, if the start of the fit lies there.
+
+    A mode that does not is no filter but an undamped line that the free initial state fits to the noise: it raises the
+    likelihood of these records and ruins the prediction of others. Not for K = 0: there the modes are the plant's own.
+    """
+    limit = min(settings.radius, 1.0 - FORGET / max(len(r) for r in records))
+    if not np.any(point.system.k) or spectral_radius(point.system.predictor) >= limit:
+        return settings.radius
+    return limit
+
+
+def _allowed(system: Matrices, settings: Settings, radius: float) -> bool:
+    if not all(np.isfinite(v).all() for v in system):
+        return False
+    if spectral_radius(system.predictor) >= radius:
+        return False
+    return not settings.stable or spectral_radius(system.a) < settings.radius
+
+
+def _finite(normal: Normal) -> bool:
+    return bool(np.isfinite(normal.information).all() and np.isfinite(normal.gradient).all())
+
+
+class _Quadratic(NamedTuple):
+    """The quadratic model of the criterion in the eigenvectors of its Hessian, every direction at unit information.
+
+    Negative curvature is taken by its size, so that a step descends there too (Dauphin et al. 2014, "saddle-free").
+    """
+
+    values: FloatArray
+    slope: FloatArray
+    back: FloatArray
+
+    @classmethod
+    def of(cls, normal: Normal) -> _Quadratic:
+        diagonal = np.diag(normal.information)
+        scale = np.sqrt(np.maximum(diagonal, 1e-14 * max(float(diagonal.max(initial=0.0)), 1e-300)))
+        values, vectors = np.linalg.eigh(normal.hessian / np.outer(scale, scale))
+        return cls(values, vectors.T @ (normal.gradient / scale), vectors / scale[:, None])
+
+    @property
+    def convex(self) -> bool:
+        return not len(self.values) or bool(self.values[0] > -1e-6 * self.values[-1])
+
+    @property
+    def decrement(self) -> float:
+        """Decrease of -2 log likelihood that a full step promises, over directions that the data see."""
+        size = np.abs(self.values)
+        keep = size > 1e-10 * size.max(initial=0.0)
+        return float((self.slope[keep] ** 2 / size[keep]).sum())
+
+    def step(self, damping: float) -> tuple[FloatArray, float]:
+        """The damped step (d,) and the decrease that it promises."""
+        size = np.abs(self.values)
+        step = self.slope / (np.maximum(size, 1e-10 * size.max(initial=0.0)) + damping)
+        return self.back @ step, float(2.0 * self.slope @ step - (self.values * step) @ step)
+
+
+def _moved(
+    nuisances: Sequence[Nuisance], back: Sequence[tuple[FloatArray, FloatArray]], step: FloatArray
+) -> tuple[Nuisance, ...]:
+    out = []
+    for v, (start, slope) in zip(nuisances, back):
+        change = start - slope @ step
+        n = len(v.x0)
+        out.append(Nuisance(x0=v.x0 + change[:n], offset=v.offset + change[n:]))
+    return tuple(out)

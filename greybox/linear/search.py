@@ -1,0 +1,239 @@
+"""From records to the best model of one order, or of every order up to a largest: starts, polish, warm starts.
+
+The criterion has local minima. Every order is started from subspace models, from the smaller model with states added
+that predict its innovations, and from the next larger model with its least balanced states cut; the best is polished.
+The likelihood never falls when the order grows, because the smaller model is always among the starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from greybox.errors import DataError, FitError, GreyboxError
+from greybox.linear.parametrisation import Free
+from greybox.linear.pem import (
+    Settings,
+    Solution,
+    evaluate,
+    minimise,
+    start_nuisances,
+)
+from greybox.linear.records import Record
+from greybox.linear.subspace import Method, Subspace, subspace
+from greybox.model.matrices import Matrices, from_predictor, spectral_radius, truncated
+from greybox.symbolic import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What is fitted and how it is started. `methods` are tried in turn and the best start is polished.
+
+    `past` is the subspace horizon (None: AIC of a VARX). `polish` False stops at the subspace start.
+    """
+
+    noise_model: bool = True
+    feedthrough: bool = False
+    methods: tuple[Method, ...] = ("pbsid", "ssarx")
+    past: int | None = None
+    polish: bool = True
+    settings: Settings = field(default_factory=Settings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A solution, the name of the start it came from, and the singular values of the first subspace method."""
+
+    solution: Solution
+    start: str
+    singular_values: FloatArray
+
+
+def decompose(records: Sequence[Record], largest: int, options: Options) -> list[Subspace]:
+    """One subspace decomposition per method, wide enough for order `largest`; raises the first error if all fail."""
+    out: list[Subspace] = []
+    problem: GreyboxError | None = None
+    for method in options.methods:
+        try:
+            out.append(
+                subspace(
+                    records,
+                    method,
+                    past=options.past,
+                    order=largest,
+                    feedthrough=options.feedthrough,
+                    noise_model=options.noise_model,
+                    varx=next((s.varx for s in out if s.varx is not None), None),
+                )
+            )
+        except DataError as error:
+            problem = problem or error
+    if not out:
+        raise problem or FitError("no subspace method was named", fix="methods=('ssarx',)")
+    return out
+
+
+def find(records: Sequence[Record], order: int, options: Options, *, bank: Sequence[Subspace] | None = None) -> Found:
+    """The model of one order. Raises `DataError` or `FitError` where the data cannot carry it.
+
+    An order that is too high costs little: the polish must be `pem.worth_leaving` the start. (Orders that are compared, in
+    `sweep`, are all polished: their criteria need the likelihood's maximum.)
+    """
+    options = replace(options, settings=replace(options.settings, weigh_start=True))
+    bank = bank or decompose(records, order, options)
+    starts = _subspace_starts(bank, order, options)
+    if not starts:
+        raise FitError(
+            f"order {order} is above what the data carry",
+            expected=f"at most {max(s.largest_order for s in bank)}",
+            fix="lower the order",
+        )
+    return _best(records, starts, options, bank[0].singular_values)
+
+
+def sweep(
+    records: Sequence[Record], largest: int, options: Options, *, patience: int | None = None, penalty: float = 0.0
+) -> dict[int, Found]:
+    """The best model of every order 1 .. largest, each started from its neighbours as well as from subspace models.
+
+    Polished to 0.3 of -2 log likelihood (at most 20 iterations), enough to compare orders: call `refine` on the chosen.
+    With `patience` the sweep stops once -2 log likelihood + penalty * parameters has not improved for that many orders.
+    """
+    bank = decompose(records, largest, options)
+    coarse = replace(options.settings, tolerance=max(0.3, options.settings.tolerance), max_iterations=20)
+    options = replace(options, settings=coarse)
+    values = bank[0].singular_values
+    found: dict[int, Found] = {}
+    best_score, best_order = np.inf, 0
+    for order in range(1, largest + 1):
+        starts = _subspace_starts(bank, order, options)
+        for back in (1, 2):
+            if order - back in found:
+                grown = _grown(found[order - back].solution, records, back, options)
+                if grown is not None:
+                    starts.append((f"order {order - back} + {back}", grown))
+        if not starts:
+            break
+        here = _best(records, starts, options, values, second=True)
+        found[order] = here
+        score = here.solution.evaluation.criterion + penalty * _dimension(here.solution)
+        if score < best_score - 1e-6:
+            best_score, best_order = score, order
+        if patience is not None and order - best_order >= patience:
+            break
+    for order in sorted(found)[-2::-1]:
+        above = found[order + 1].solution
+        try:
+            start = truncated(above.system, order)
+        except (GreyboxError, np.linalg.LinAlgError):
+            continue
+        if not options.noise_model:
+            start = start._replace(k=np.zeros_like(start.k))
+        if not options.feedthrough:
+            start = start._replace(d=np.zeros_like(start.d))
+        if not _usable(start, options):
+            continue
+        rival = _best(records, [(f"order {order + 1} cut", start)], options, values)
+        if rival.solution.evaluation.criterion < found[order].solution.evaluation.criterion - 1e-3:
+            found[order] = rival
+    return found
+
+
+def refine(found: Found, records: Sequence[Record], options: Options) -> Found:
+    """The same solution polished to the tolerance of `options`."""
+    s = found.solution
+    settings = options.settings if options.polish else replace(options.settings, max_iterations=0)
+    return replace(found, solution=minimise(s.point, records, settings, nuisances=s.nuisances))
+
+
+def _dimension(solution: Solution) -> int:
+    return solution.tangent.shape[1]
+
+
+def _subspace_starts(bank: Sequence[Subspace], order: int, options: Options) -> list[tuple[str, Matrices]]:
+    out: list[tuple[str, Matrices]] = []
+    for s in bank:
+        if order > s.largest_order:
+            continue
+        try:
+            system = s.realise(order, stable=options.settings.stable)
+        except (GreyboxError, np.linalg.LinAlgError, ValueError):
+            continue
+        if _usable(system, options):
+            out.append((s.method, system))
+    return out
+
+
+def _usable(system: Matrices, options: Options) -> bool:
+    if not all(np.isfinite(v).all() for v in system):
+        return False
+    limit = options.settings.radius
+    if spectral_radius(system.predictor) >= limit:
+        return False
+    return not options.settings.stable or spectral_radius(system.a) < limit
+
+
+def _best(
+    records: Sequence[Record],
+    starts: Sequence[tuple[str, Matrices]],
+    options: Options,
+    values: FloatArray,
+    *,
+    second: bool = False,
+) -> Found:
+    """Polish the most likely start; with `second` also the runner-up where it is of another kind."""
+    scored = []
+    p = records[0].y.shape[1]
+    for label, system in starts:
+        nuisances = start_nuisances(system, records, options.settings)
+        scored.append((evaluate(system, nuisances, records, np.eye(p)).criterion, label, system, nuisances))
+    scored.sort(key=lambda item: item[0])
+    if not np.isfinite(scored[0][0]):
+        raise FitError(
+            "every start predicts an output without error or diverges",
+            fix="lower the order, or drop outputs that are combinations of others",
+        )
+    settings = options.settings if options.polish else replace(options.settings, max_iterations=0)
+    best: Solution | None = None
+    name = ""
+    for score, label, system, nuisances in scored[: 2 if second else 1]:
+        if not np.isfinite(score):
+            continue
+        point = Free(system=system, noise_model=options.noise_model, feedthrough=options.feedthrough)
+        solution = minimise(point, records, settings, nuisances=nuisances)
+        if best is None or solution.evaluation.criterion < best.evaluation.criterion:
+            best, name = solution, label
+    assert best is not None
+    return Found(solution=best, start=name, singular_values=values)
+
+
+def _grown(solution: Solution, records: Sequence[Record], more: int, options: Options) -> Matrices | None:
+    """The model with `more` states added that predict its innovations from u and e; None where there are none.
+
+    The added predictor runs on the innovations of the first, so that the cascade is again a predictor of that order
+    sum. Adding states that are never read reproduces the smaller model, hence the likelihood cannot fall.
+    """
+    system = solution.system
+    inner = [Record(u=r.u, y=q.e, name=r.name) for r, q in zip(records, solution.evaluation.predictions)]
+    try:
+        more_model = subspace(
+            inner, "ssarx", past=max(8, 2 * more + 2), order=more, feedthrough=False, noise_model=True
+        ).realise(more)
+    except (GreyboxError, np.linalg.LinAlgError, ValueError):
+        return None
+    m = system.b.shape[1]
+    f1, g1 = system.predictor, system.predictor_input
+    f2, g2 = more_model.predictor, more_model.predictor_input
+    b2, k2 = g2[:, :m], g2[:, m:]
+    if not options.noise_model:
+        a = np.block([[system.a, np.zeros((system.order, more))], [np.zeros((more, system.order)), more_model.a]])
+        b = np.vstack([system.b, more_model.b])
+        c = np.hstack([system.c, more_model.c])
+        grown = Matrices(a, b, c, system.d, np.zeros((len(a), len(c))))
+        return grown if _usable(grown, options) else None
+    f = np.block([[f1, np.zeros((len(f1), more))], [-k2 @ system.c, f2]])
+    g = np.vstack([g1, np.hstack([b2 - k2 @ system.d, k2])])
+    grown = from_predictor(f, g, np.hstack([system.c, more_model.c]), system.d)
+    return grown if _usable(grown, options) else None

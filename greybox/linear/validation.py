@@ -1,0 +1,252 @@
+"""Validation of a linear fit: residual tests on the training records, k-step prediction and free run on unseen ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import GreyboxError
+from greybox.linear.fit import LinearFit, to_dict
+from greybox.linear.pole_profile import Interval
+from greybox.linear.prediction import adapt, k_step
+from greybox.linear.records import Record, delayed
+from greybox.linear.spectrum import SpectralError, spectral_error
+from greybox.model.matrices import spectral_radius
+from greybox.symbolic import FloatArray
+from greybox.validation.cross_correlation import CrossCorrelation, cross_correlation
+from greybox.validation.whiteness import Whiteness, whiteness
+
+MAX_LAG = 25
+LEVEL = 0.99
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestRow:
+    """One record at one horizon (0 = free run from the start): RMSE and fit percentage per output, persistence RMSE."""
+
+    record: str
+    horizon: int
+    rmse: FloatArray
+    fit: FloatArray
+    persistence: FloatArray
+    samples: int
+
+    __test__ = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """A fit with its residual tests (training records) and its test rows (records that the fit never saw).
+
+    `log_det_test` is log det of the one-step innovation covariance about zero on the test records, NaN without any.
+    """
+
+    fit: LinearFit
+    whiteness: Whiteness | None
+    cross: CrossCorrelation | None
+    spectral: SpectralError | None
+    feedback: bool
+    rows: tuple[TestRow, ...]
+    train_fit: FloatArray
+    log_det_test: float
+    adapted_on: float
+    columns: tuple[int, ...]
+    outputs: tuple[int, ...]
+    intervals: tuple[Interval, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for fit.json."""
+        return {
+            "name": self.fit.model.name,
+            "fit": to_dict(self.fit),
+            "model": self.fit.model.to_dict(),
+            "profile_intervals": [_interval(i) for i in self.intervals],
+            "train": {"one_step_fit_percent": dict(zip(self.fit.model.outputs.names, self.train_fit))},
+            "whiteness": None if self.whiteness is None else self.whiteness.to_dict(),
+            "cross_correlation": None if self.cross is None else self.cross.to_dict(),
+            "feedback_assumed": self.feedback,
+            "spectral_error": None
+            if self.spectral is None
+            else {
+                "low_hz": self.spectral.low,
+                "high_hz": self.spectral.high,
+                "share": dict(zip(self.fit.model.outputs.names, self.spectral.share)),
+            },
+            "test": {
+                "adapted_on_seconds": self.adapted_on,
+                "log_det_innovations": self.log_det_test,
+                "rows": [
+                    {
+                        "record": r.record,
+                        "horizon": r.horizon if r.horizon else "free run",
+                        "samples": r.samples,
+                        "rmse": dict(zip(self.fit.model.outputs.names, r.rmse)),
+                        "fit_percent": dict(zip(self.fit.model.outputs.names, r.fit)),
+                        "persistence_rmse": dict(zip(self.fit.model.outputs.names, r.persistence)),
+                    }
+                    for r in self.rows
+                ],
+            },
+        }
+
+    def format(self) -> str:
+        """Tables for the terminal."""
+        names = self.fit.model.outputs.names
+        lines = [
+            f"{self.fit.model.name}: one-step fit on training data "
+            + ", ".join(f"{n} {v:.1f} %" for n, v in zip(names, self.train_fit))
+        ]
+        for i in self.intervals:
+            lines.append(
+                f"pole {i.pole:.4f}: {100 * i.level:.0f} % profile interval of its {i.quantity} part "
+                f"[{i.lower:.4f}, {i.upper:.4f}]"
+            )
+        if self.spectral is not None:
+            lines.append(
+                f"spectral error {self.spectral.low:g}-{self.spectral.high:g} Hz: "
+                + ", ".join(f"{n} {100 * v:.2g} %" for n, v in zip(names, self.spectral.share))
+            )
+        if self.whiteness is not None:
+            lines.append(self.whiteness.format())
+        for r in self.rows:
+            what = f"h = {r.horizon}" if r.horizon else "free run"
+            cells = ", ".join(
+                f"{n} {rmse:.4g} ({fit:.0f} %, persistence {other:.4g})"
+                for n, rmse, fit, other in zip(names, r.rmse, r.fit, r.persistence)
+            )
+            lines.append(f"test {r.record} {what}: RMSE {cells}")
+        return "\n".join(lines)
+
+
+def validate_linear(
+    fit: LinearFit,
+    train: Sequence[Record],
+    test: Sequence[Record],
+    columns: Sequence[int],
+    outputs: Sequence[int],
+    *,
+    horizons: Sequence[int],
+    adapt_seconds: float = 0.0,
+    feedback: bool = True,
+    intervals: Sequence[Interval] = (),
+) -> Identified:
+    """Residual tests and test rows of `fit`, which uses the given columns of the records' u and y.
+
+    `horizons` are numbers of samples. With `adapt_seconds` the initial state and output offset of each test record
+    are fitted on its first seconds, which are then not scored; without, the state starts at zero and the first 2 s
+    are run in but not scored. Under `feedback` the verdict of the input test uses positive lags only. Raises
+    `DataError` where test records are too short.
+    """
+    own = [_part(r, columns, outputs) for r in train]
+    moved = [delayed(r, fit.model.delays) for r in own]
+    e = list(fit.innovations)
+    white, cross, spectral = None, None, None
+    try:
+        white = whiteness(e, names=fit.model.outputs.names, max_lag=MAX_LAG, fitted=min(2 * fit.order, 20), level=LEVEL)
+    except GreyboxError:
+        white = None
+    if len(fit.model.inputs):
+        try:
+            cross = cross_correlation(
+                e,
+                [r.u for r in moved],
+                names=fit.model.outputs.names,
+                input_names=fit.model.inputs.names,
+                max_lag=MAX_LAG,
+                level=LEVEL,
+            )
+            if not feedback:
+                cross = replace(cross, note="All lags count: the inputs were declared free of feedback.")
+        except GreyboxError:
+            cross = None
+    try:
+        spectral = spectral_error(e, [r.y for r in moved], fit.model.dt)
+    except GreyboxError:
+        spectral = None
+    rows: list[TestRow] = []
+    one_step: list[FloatArray] = []
+    for r in test:
+        mine = _part(r, columns, outputs)
+        rows += _test_rows(fit, mine, horizons, adapt_seconds, one_step)
+    log_det = float("nan")
+    if one_step:
+        total = np.vstack(one_step)
+        total = total[np.isfinite(total).all(axis=1)]
+        log_det = float(np.linalg.slogdet(total.T @ total / len(total))[1])
+    y = np.vstack([r.y for r in moved])
+    share = np.sqrt(np.nanmean(np.vstack(e) ** 2, axis=0) / np.nanvar(y, axis=0))
+    return Identified(
+        fit=fit,
+        whiteness=white,
+        cross=cross,
+        spectral=spectral,
+        feedback=feedback,
+        rows=tuple(rows),
+        train_fit=100 * (1 - share),
+        log_det_test=log_det,
+        adapted_on=adapt_seconds,
+        columns=tuple(columns),
+        outputs=tuple(outputs),
+        intervals=tuple(intervals),
+    )
+
+
+def _interval(i: Interval) -> dict[str, Any]:
+    """Plain values; an open end is None."""
+    ends = [float(v) if np.isfinite(v) else None for v in (i.lower, i.upper)]
+    return {
+        "pole": {"real": i.pole.real, "imag": i.pole.imag},
+        "quantity": i.quantity,
+        "estimate": i.estimate,
+        "lower": ends[0],
+        "upper": ends[1],
+        "level": i.level,
+    }
+
+
+def _part(record: Record, columns: Sequence[int], outputs: Sequence[int]) -> Record:
+    return Record(u=record.u[:, list(columns)], y=record.y[:, list(outputs)], name=record.name)
+
+
+def _test_rows(
+    fit: LinearFit, record: Record, horizons: Sequence[int], seconds: float, one_step: list[FloatArray]
+) -> list[TestRow]:
+    model = fit.model
+    known = adapt(model, record, seconds)
+    # A horizon of which a short record holds no more than a few is left out, unless it is the only one.
+    reached = [h for h in horizons if h <= len(record) // 2] or [min(horizons)]
+    first = max(known.samples, min(round(2.0 / model.dt), (len(record) - max(reached)) // 3))
+    out = []
+    for ahead in k_step(model, record, reached, x0=known.x0, offset=known.offset):
+        error = (ahead.measured - ahead.predicted)[first:]
+        y = ahead.measured[first:]
+        source = delayed(record, model.delays).y
+        still = (ahead.measured - source[: len(ahead.measured)])[first:]
+        if ahead.horizon == 1:
+            one_step.append(error)
+        out.append(_row(record.name, ahead.horizon, error, y, still))
+    if spectral_radius(model.matrices.a) < 1.0:
+        from greybox.linear.prediction import simulate
+
+        moved = delayed(record, model.delays)
+        plain = replace(model, delays=(0,) * len(model.inputs))
+        y = simulate(plain, moved.u, x0=known.x0) + known.offset - model.output_offset
+        still = moved.y - moved.y[first]
+        out.append(_row(record.name, 0, (moved.y - y)[first:], moved.y[first:], still[first:]))
+    return out
+
+
+def _row(name: str, horizon: int, error: FloatArray, y: FloatArray, still: FloatArray) -> TestRow:
+    rmse = np.sqrt(np.nanmean(error**2, axis=0))
+    spread = np.nanstd(y, axis=0)
+    return TestRow(
+        record=name,
+        horizon=horizon,
+        rmse=rmse,
+        fit=100 * (1 - rmse / np.maximum(spread, 1e-300)),
+        persistence=np.sqrt(np.nanmean(still**2, axis=0)),
+        samples=len(error),
+    )

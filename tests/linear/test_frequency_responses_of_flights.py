@@ -1,0 +1,158 @@
+"""Claims: `gb.frf` finds gain and lag within their errors and mixes commands as a pilot would; the model of the flights lies
+inside the circles and a wrong one is said to part, with the frequencies; what cannot be told is refused in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.data import Dataset
+from greybox.linear.frf_channels import mixers
+from greybox.model.example import example_vehicle
+from greybox.model.linear import LinearModel
+from greybox.model.matrices import Matrices
+from greybox.symbolic import Layout, Signal
+from tests.statistics.test_frequency_responses_have_honest_bands import DT, GAIN, POLE, flown
+
+SIGNS = np.array([np.sign(r.position[1]) for r in example_vehicle().rotors])
+
+
+def flights(
+    count: int = 2,
+    feedback: float = 0.0,
+    noise: float = 0.02,
+    gap: bool = False,
+    seconds: float = 60.0,
+) -> Dataset:
+    """Flights whose roll command u drives p, with a hover command and small other motions."""
+    data = Dataset(flights=())
+    for i in range(count):
+        u, y, r = flown(i, feedback, noise=noise, seconds=seconds).T
+        columns = {f"u{j + 1}": 0.5 + sign * 0.2 * u for j, sign in enumerate(SIGNS)}
+        columns |= {"p": y, "ref": r, "still": 0 * y}
+        if gap:
+            columns["p"] = np.where(np.arange(len(y)) % 900 == 450, np.nan, y)
+        data = data + gb.dataset_from_arrays(DT * np.arange(len(y)), columns, name=f"flight{i}")
+    return data
+
+
+def linear_model(gain: float = 1.0, delay: int = 2) -> LinearModel:
+    """The plant of `flown`, from the command roll, as a model."""
+    one = np.eye(1)
+    return LinearModel(
+        name="plant",
+        matrices=Matrices(POLE * one, GAIN * gain / 0.2 * one, one, 0 * one, 0 * one),
+        noise=one,
+        dt=DT,
+        inputs=Layout([Signal(name="roll", unit="1")]),
+        outputs=Layout([Signal(name="p", unit="rad/s")]),
+        delays=(delay,),
+    )
+
+
+def test_gain_and_lag_are_found_within_their_errors():
+    found = gb.frf(flights(), ["roll"], ["p"], vehicle=example_vehicle()).pairs["p/roll"]
+    assert found.usable.mean() > 0.7
+    form = found.form
+    assert form is not None and form.integrators == 1 and form.lag_std < 0.003
+    # Two samples of delay, one that the difference equation has, half a sample given back by the held command.
+    assert abs(form.lag - 2.5 * DT) < 3 * form.lag_std + 5e-4
+    assert abs(form.gain - 250) < 3 * form.gain_std + 5
+    assert "roll shows in p after 5" in "\n".join(found.lines())
+
+
+def test_mixed_commands_are_those_of_a_mixer():
+    mixed = mixers(example_vehicle())
+    assert sorted(mixed) == ["pitch", "roll", "thrust", "yaw"]
+    assert [w for w, _ in mixed["roll"].terms] == pytest.approx(0.25 * SIGNS)
+    assert [w for w, _ in mixed["thrust"].terms] == pytest.approx([0.25] * 4)
+    assert [w for w, _ in mixed["yaw"].terms] == pytest.approx(
+        [-0.25 * r.spin for r in example_vehicle().rotors]
+    )
+
+
+def test_the_right_model_lies_inside_and_a_wrong_one_is_said_to_part():
+    data, vehicle = flights(), example_vehicle()
+    right = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model()).pairs["p/roll"]
+    assert right.outside is not None and right.outside.sum() <= 5
+    assert len(list(right.parts())) == 1 and "inside the 95 % circle at" in next(right.parts())
+    late = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(delay=4)).pairs[
+        "p/roll"
+    ]
+    said = "\n".join(late.parts())
+    assert "outside the 95 % circle from" in said and " Hz: " in said and late.outside is not None
+    assert late.outside[-5:].any() and not late.outside[:2].all()
+
+
+def test_a_closed_loop_is_said_and_a_reference_mends_it():
+    data, vehicle = flights(count=3, feedback=0.2, noise=0.4), example_vehicle()
+    direct = gb.frf(data, ["roll"], ["p"], vehicle=vehicle, model=linear_model())
+    assert any("closed loop" in w and "--references" in w for w in direct.warnings)
+    by_reference = gb.frf(
+        data, ["roll"], ["p"], vehicle=vehicle, model=linear_model(), references=["ref"]
+    )
+    assert by_reference.warnings == () and by_reference.references == ("ref",)
+    shares = []
+    for found in (direct, by_reference):
+        pair = found.pairs["p/roll"]
+        assert pair.model is not None
+        shares.append(np.mean(np.abs(pair.model - pair.value) < pair.radius))
+    assert shares[0] < 0.3 and shares[1] > 0.7
+    assert gb.frf(flights(), ["roll"], ["p"], vehicle=vehicle).warnings == ()
+
+
+def test_gaps_cost_averages_and_no_honesty():
+    whole, holed = (
+        gb.frf(flights(gap=g), ["roll"], ["p"], vehicle=example_vehicle(), window=4.0)
+        for g in (False, True)
+    )
+    assert holed.averages[0] < whole.averages[0] and np.isfinite(holed.pairs["p/roll"].value).all()
+    assert holed.pairs["p/roll"].form is not None
+
+
+def test_what_is_measured_shows_itself_and_draws_itself():
+    found = gb.frf(flights(), ["roll"], ["p"], vehicle=example_vehicle(), model=linear_model())
+    assert repr(found).startswith("measured: p/roll, from 120 s of 2 flight(s)")
+    assert len(found._shown_rows()) == len(found.frequency)
+    axes = found.plot()
+    assert [a.get_xscale() for a in axes] == ["log"] * 3
+
+
+REFUSED = {
+    "an input that is still": ({"inputs": ["still"]}, "channel still does not move"),
+    "an unknown channel": ({"inputs": ["u9"]}, "unknown channel 'u9'"),
+    "no vehicle": ({"vehicle": None}, "--vehicle V.toml"),
+    "one thing twice": ({"inputs": ["p"]}, "named as two things"),
+    "too few references": (
+        {"inputs": ["u1", "u2"], "references": ["ref"]},
+        "1 reference.s. for 2 inputs",
+    ),
+    "a window too long": ({"window": 40.0}, "too short: 60 s"),
+    "a band that is none": ({"band": (9.0, 3.0)}, "a band from 9 to 3 Hz"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_told_is_one_line(case: str) -> None:
+    changes, said = REFUSED[case]
+    arguments = {"inputs": ["roll"], "outputs": ["p"], "vehicle": example_vehicle(), **changes}
+    with pytest.raises(gb.GreyboxError, match=said):
+        gb.frf(flights(count=1), **arguments)
+
+
+def test_too_short_a_flight_is_refused_and_noise_is_not_called_a_response():
+    with pytest.raises(gb.GreyboxError, match="too short: 8 s"):
+        gb.frf(flights(count=1, seconds=8.0), ["roll"], ["p"], vehicle=example_vehicle())
+    rng = np.random.default_rng(0)
+    noise = gb.dataset_from_arrays(
+        DT * np.arange(4000), {"a": rng.standard_normal(4000), "b": rng.standard_normal(4000)}
+    )
+    found = gb.frf(noise, ["a"], ["b"])
+    assert not found.measured and found.line == "not measured: no frequency has coherence above 0.6"
+
+
+@pytest.mark.parametrize("window", [float("nan"), float("inf"), 0.0, -2.0])
+def test_a_window_that_is_no_length_is_refused(window):
+    with pytest.raises(gb.GreyboxError, match="a positive number of seconds"):
+        gb.frf(flights(count=1), ["roll"], ["p"], vehicle=example_vehicle(), window=window)
