@@ -9,7 +9,7 @@ import pytest
 from greybox.plants.airframe import Airframe, x_layout
 from scenarios.foreign.craft import Air, Craft
 
-FOREIGN = ("rotorpy", "mujoco", "drone_models")
+FOREIGN = ("rotorpy", "mujoco", "drone_models", "pybullet")
 ALL = ("plants", *FOREIGN)
 GRAVITY = 9.81
 FRAME = Airframe(
@@ -41,6 +41,11 @@ def make(simulator: str, craft: Craft = CRAFT, **settings):
         from scenarios.foreign.mujoco_plant import MuJoCoPlant
 
         return MuJoCoPlant(craft, **settings)
+    if simulator == "pybullet":
+        pytest.importorskip("pybullet", reason="PyBullet comes with the extra judge")
+        from scenarios.foreign.pybullet_plant import PyBulletPlant
+
+        return PyBulletPlant(craft, **settings)
     if simulator == "drone_models":
         # drone_models itself refuses to be imported after SciPy, which its plant knows how to mend
         pytest.importorskip("array_api_compat", reason="drone-models comes with the extra judge")

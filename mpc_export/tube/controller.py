@@ -13,7 +13,8 @@ What may go wrong, and what is done; `events` says what happened when:
   ancillary gain on the estimate, for as long as the plan lasts; then the ancillary gain about the path. A plan that failed
   three times in a row, or is older than itself, is replaced by a simulation of that fallback before the next attempt;
 - measurements are missing, infinite, no numbers or cannot be believed (gate.py): the filter goes on without them;
-- the estimate itself runs away until it is not finite: it starts anew, at what the pose says, at rest;
+- the estimate itself runs away: one begun at what is measured now takes over where that explains the measurements far
+  better (rival.py);
 - calls do not come: the filter predicts over the gap. A clock that jumps back or by more than LATE is not followed: one
   sample has passed;
 - flying on is not possible: a descent is declared (descent.py).
@@ -40,6 +41,7 @@ from mpc_export.tube.descent import AWAY, BLIND, HELD, SLOW, Descent, Watch
 from mpc_export.tube.gate import Gate, plausible
 from mpc_export.tube.native import native
 from mpc_export.tube.problem import TubeProblem
+from mpc_export.tube.rival import DENIED, Rival
 from mpc_export.tube.solver import Outcome, TubeSolver
 from mpc_export.tube.stages import block
 
@@ -50,7 +52,14 @@ LATE = 0.25
 EARLY = 0.25
 """A call counts for another sample when it comes no more than this share of one too early for it."""
 FAILURES = 3
-"""So many failed solutions, or estimates that are not finite, in a row, and the next starts anew."""
+"""So many failed solutions in a row, and the next starts anew."""
+MEASURED = {
+    "position": ("x", "y", "z"),
+    "velocity": ("vx", "vy", "vz"),
+    "attitude": ("qw", "qx", "qy", "qz"),
+    "rate": ("p", "q", "r"),
+}
+"""Blocks of the state that sensors give, and their columns."""
 NEAR_STEADY = 1e-6
 """A steady state that misses its condition by less is not looked for anew."""
 ROUNDING = 1e-6
@@ -177,11 +186,12 @@ class TubeController:
         self.descent: Descent | None = None
         self.events.clear()
         self.gate.start()
+        self._rival = Rival()
         self._watch = Watch()
         self._told: float | None = None
         self._ahead = self._phase = 0.0
         self._first: float | None = None
-        self._failures = self._runaway = 0
+        self._failures = 0
         self._mean, self._weak = self.u.copy(), np.zeros(len(self.u), dtype=bool)
         self._seen = [math.inf] * len(self._pose)  # when a pose was last believed; infinity before the first sample
         data = self.solver.data
@@ -321,26 +331,36 @@ class TubeController:
                 self._seen[j] = time
         found = after.full().ravel()
         if np.isfinite(found).all():
-            self.estimate, self._runaway = found, 0
-            return
-        self._note(time, "the filter's estimate is not finite")
-        self._runaway += 1
-        if self._runaway >= FAILURES and there.any():
-            self._begin_again(time, y, there)
+            self.estimate = found
+        else:
+            self._note(time, "the filter's estimate is not finite")
+        self._challenge(time, y, there, innovation)
 
-    def _begin_again(self, time: float, y: FloatArray, there: FloatArray) -> None:
-        """An estimate that cannot be carried on is given up: at rest, where the pose says, if it does."""
-        self._note(time, "the filter starts anew")
-        own = self.filter.own_states
-        state = np.array(self.solver.stages.steady[0][:own])
-        for name, columns in (("position", "xyz"), ("attitude", ("qw", "qx", "qy", "qz"))):
+    def _challenge(self, time: float, y: FloatArray, there: FloatArray, innovation: Any) -> None:
+        """Let an estimate that is begun at what is measured take over where it explains the measurements far better."""
+        denied = self.gate.surprise(innovation.full().ravel(), there)
+        rival = self._rival
+        if rival.estimate is not None:
+            after, off, _ = self._step(rival.estimate, self.u, self.p, y, there)
+            rival.goes_on(after.full().ravel(), denied - self.gate.surprise(off.full().ravel(), there))
+        if rival.estimate is None and denied >= DENIED and all(there[rows].all() for _, rows in self._pose):
+            begun = self._step(self._measured(y, there), self.u, self.p, y, there)[0]
+            rival.begins(begun.full().ravel())
+        if rival.believed:
+            self._note(time, "the filter starts anew")
+            self.estimate, self._rival = np.asarray(rival.estimate), Rival()
+            self.gate.start()
+            self._seen = [time] * len(self._pose)
+
+    def _measured(self, y: FloatArray, there: FloatArray) -> FloatArray:
+        """The state that the measurements of one sample say; at rest where they say nothing."""
+        state = np.array(self.solver.stages.steady[0][: self.filter.own_states])
+        for name, columns in MEASURED.items():
             at = [self.columns.index(c) for c in columns if c in self.columns]
-            seen = [rows for k, rows in self._pose if set(self._present[rows[0]]) == set(at)]
-            if len(at) == len(columns) and seen and there[seen[0]].all():
+            given = [there[i] > 0.0 for i, rows in enumerate(self._present) if set(rows) & set(at)]
+            if len(at) == len(columns) and given and all(given):
                 state[self._rows(name)] = y[at] / (np.linalg.norm(y[at]) if name == "attitude" else 1.0)
-        self.estimate = np.asarray(self.filter.sampled.extended(state, self._column(self.u))[0])
-        self.gate.start()
-        self._runaway = 0
+        return np.asarray(self.filter.sampled.extended(state, self._column(self.u))[0])
 
     def _believed(
         self, time: float, share: FloatArray, y: FloatArray, there: FloatArray, expected: Any

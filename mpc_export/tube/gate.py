@@ -59,9 +59,7 @@ class Gate:
     def __call__(self, innovation: FloatArray, there: FloatArray) -> FloatArray:
         """Share in [0, 1] of every sensor's innovation (n_e,) that is believed; 1 where nothing is `there` (n_e,)."""
         share = np.ones(len(self.sensors))
-        # what overflows when squared is too far off as well
-        e = np.nan_to_num(np.clip(innovation, -FAR, FAR), nan=FAR)
-        sizes = np.sqrt(np.maximum(self._member @ (e * (self._inverse @ e)), 0.0)) / REACH
+        sizes = self._sizes(innovation)
         if there.all() and not self.missed.any() and not self.wide.any() and sizes.max() <= 1.0:
             return share
         for k, (_, at) in enumerate(self.sensors):
@@ -78,6 +76,21 @@ class Gate:
                 share[k] = room / size if size <= PARTLY * room else 0.0
                 self.wide[k] = min(self.wide[k] + 1.0, WIDEST)
         return share
+
+    def surprise(self, innovation: FloatArray, there: FloatArray) -> float:
+        """Minus the log-likelihood of an innovation (n_e,) but for a constant, of the sensors that are `there` (n_e,).
+
+        Of Student's t distribution with one degree of freedom and spread REACH S; what is beyond PARTLY says no more than
+        that it is wrong.
+        """
+        sizes = np.minimum(self._sizes(innovation), PARTLY)
+        known = np.array([there[at].all() for _, at in self.sensors])
+        return float(known @ (0.5 * (1.0 + self._member.sum(axis=1)) * np.log1p(sizes**2)))
+
+    def _sizes(self, innovation: FloatArray) -> FloatArray:
+        # what overflows when squared is too far off as well
+        e = np.nan_to_num(np.clip(innovation, -FAR, FAR), nan=FAR)
+        return np.asarray(np.sqrt(np.maximum(self._member @ (e * (self._inverse @ e)), 0.0)) / REACH)
 
 
 def plausible(columns: Sequence[str], y: FloatArray) -> FloatArray:

@@ -31,6 +31,8 @@ from scenarios.foreign.stranger import Knowledge, nominal_values, vehicle_text
 from scenarios.plants.realistic_sensors import Realism, realistic
 
 SIMULATORS = ("plants", "rotorpy", "mujoco", "drone_models")
+ON_REQUEST = ("pybullet",)
+"""Simulators that are never drawn: a seed stays the craft that it was."""
 HIDDEN = ("delay", "center_of_mass", "uneven_rotors", "battery", "wind")
 """What can be hidden in every simulator besides lag, drag and gusts."""
 ROTOR_LAW = "rotor_law"
@@ -70,10 +72,10 @@ class Draw:
 def draw(seed: int, simulator: str | None = None, hidden: Sequence[str] = ()) -> Draw:
     """The craft of this seed; `simulator` overrules who flies it and leaves the rest as it was.
 
-    Raises ValueError for a name that is not in SIMULATORS or HIDDEN, and for `rotor_law` in another
+    Raises ValueError for a name that is not in SIMULATORS, ON_REQUEST or HIDDEN, and for `rotor_law` in another
     simulator than drone_models.
     """
-    choices = ((simulator,) if simulator else (), SIMULATORS), (hidden, (*HIDDEN, ROTOR_LAW))
+    choices = ((simulator,) if simulator else (), (*SIMULATORS, *ON_REQUEST)), (hidden, (*HIDDEN, ROTOR_LAW))
     for names, known in choices:
         unknown = sorted(set(names) - set(known))
         if unknown:
@@ -231,6 +233,10 @@ def plant_of(drawn: Draw) -> ForeignPlant | Quadrotor:
         from scenarios.foreign.mujoco_plant import MuJoCoPlant
 
         return MuJoCoPlant(drawn.craft, sensors=drawn.sensors)
+    if drawn.simulator == "pybullet":
+        from scenarios.foreign.pybullet_plant import PyBulletPlant
+
+        return PyBulletPlant(drawn.craft, sensors=drawn.sensors)
     if drawn.simulator == "drone_models":
         from scenarios.foreign.drone_models_plant import DroneModelsPlant
 
@@ -315,7 +321,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument(
-        "--simulator", choices=SIMULATORS, help="overrules the draw of the simulator"
+        "--simulator", choices=(*SIMULATORS, *ON_REQUEST), help="overrules the draw of the simulator"
     )
     parser.add_argument(
         "--hidden",

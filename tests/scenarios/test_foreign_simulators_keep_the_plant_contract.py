@@ -1,4 +1,4 @@
-"""RotorPy, MuJoCo and drone-models are plants: frames, signs, sensors, seeds as in the contract."""
+"""RotorPy, MuJoCo, drone-models and PyBullet are plants: frames, signs, sensors, seeds as in the contract."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ COLUMNS = [
 ]
 ARMS = np.array([rotor.position for rotor in FRAME.rotors])
 SPINS = np.array([rotor.spin for rotor in FRAME.rotors])
+ROUGH = {"pybullet": 15.0}
+"""By this factor tolerances are wider where gyroscopic moments are integrated to first order only."""
 
 
 def wiggle(k: int) -> list[float]:
@@ -115,7 +117,7 @@ def test_every_simulator_flies_the_same_body_as_our_own_plants_do(simulator, cra
         "nu1",
         "nu4",
     ):
-        assert theirs[name] == pytest.approx(ours[name], abs=1e-4), name
+        assert theirs[name] == pytest.approx(ours[name], abs=1e-4 * ROUGH.get(simulator, 1.0)), name
     assert abs(ours["p"]) + abs(ours["q"]) > 0.2
 
 
@@ -126,7 +128,7 @@ def test_sensors_away_from_the_centre_of_mass_read_what_our_own_plants_read(simu
     states(ours), states(theirs)
     want, got = ours.measure(), theirs.measure()
     for name in ("ax", "ay", "az", "x", "y", "z", "vx", "vy", "vz", "p", "q", "r"):
-        assert got[name] == pytest.approx(want[name], abs=1e-3), name
+        assert got[name] == pytest.approx(want[name], abs=1e-3 * ROUGH.get(simulator, 1.0)), name
 
 
 def test_the_accelerometer_agrees_with_the_one_that_mujoco_has():
@@ -156,8 +158,10 @@ def test_a_tumbling_body_without_thrust_keeps_energy_spin_and_unit_quaternion(si
     for _ in range(100):
         plant.step([0.0] * 4, 0.01)
     later, length = spin()
-    assert plant.energy() == pytest.approx(energy, rel=1e-4)
-    assert later == pytest.approx(momentum, rel=1e-4, abs=1e-8)
+    rough = ROUGH.get(simulator, 1.0)
+    assert plant.energy() == pytest.approx(energy, rel=1e-4 * rough)
+    small = 1e-8 if rough == 1.0 else 1e-4 * rough * float(np.linalg.norm(momentum))
+    assert later == pytest.approx(momentum, rel=1e-4, abs=small)
     assert length == pytest.approx(1.0, abs=1e-9)
 
 

@@ -59,6 +59,9 @@ def format_of(path: str | os.PathLike[str]) -> LogFormat:
     where = Path(path)
     head = b""
     if not where.is_dir():
+        # opening a pipe waits for who writes it, and what was read of one is gone when the reader begins
+        if where.exists() and not where.is_file():
+            raise DataError("a pipe or a device, not a file", where=str(path), fix="write the log into a file first")
         try:
             with where.open("rb") as stream:
                 head = stream.read(512)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import random
 import tempfile
 from pathlib import Path
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 
 from greybox.cli import main
 from greybox.data.logs import read_table
-from greybox.errors import GreyboxError
+from greybox.data.readers import read_recording
+from greybox.errors import DataError, GreyboxError
 from tests.data.readers import writers as w
 
 FORMATS = {
@@ -200,3 +202,10 @@ def test_a_message_format_that_unfolds_without_end_is_refused(tmp_path: Path) ->
     path.write_bytes(log.bytes())
     with pytest.raises(GreyboxError, match="more than 20000 fields"):
         read_table(path)
+
+
+def test_a_pipe_or_a_device_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "log.csv")
+    for path in (tmp_path / "log.csv", "/dev/zero"):
+        with pytest.raises(DataError, match="a pipe or a device, not a file"):
+            read_recording(path)

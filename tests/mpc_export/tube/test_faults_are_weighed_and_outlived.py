@@ -7,7 +7,9 @@ import pytest
 
 from mpc_export.tube.descent import BRAKE, SPEED, Descent, Watch
 from mpc_export.tube.gate import PARTLY, REACH, Gate, plausible
+from mpc_export.tube.rival import DENIED, Rival
 from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
+from tests.mpc_export.tube.wild import SOON
 
 PLACE = ("x", "y", "z")
 
@@ -89,6 +91,23 @@ def test_a_reason_counts_when_it_holds_more_often_than_not():
     assert "why" in found
 
 
+def test_a_rival_is_believed_where_it_explains_all_samples_better_and_by_more_than_one_sensor_can():
+    rival, weigh = Rival(), gate()
+    worst = weigh.surprise(np.array([1e9, 0.0, 0.0, 0.0]), np.ones(4))
+    assert worst == weigh.surprise(np.array([math.nan, 0.0, 0.0, 0.0]), np.ones(4)) > DENIED
+    assert weigh.surprise(np.array([1e9, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 1.0, 1.0])) == 0.0
+    rival.begins(np.zeros(3))
+    rival.goes_on(np.zeros(3), worst)
+    assert not rival.believed
+    rival.goes_on(np.zeros(3), worst)
+    assert rival.believed
+    rival.goes_on(np.zeros(3), -0.1)
+    assert rival.estimate is None
+    assert not rival.believed
+    rival.begins(np.array([math.inf, 0.0, 0.0]))
+    assert rival.estimate is None
+
+
 # ------------------------------------------------------------------------------------------------ in flight
 
 
@@ -109,6 +128,37 @@ def test_spikes_in_the_position_do_not_move_the_vehicle(controller):
     assert kinds(controller) == {"not believed: x, y, z"}
     np.testing.assert_allclose(path, np.tile([0.0, 0.0, 1.0], (300, 1)), atol=1e-3)
     assert np.isfinite(commands).all()
+
+
+@pytest.mark.parametrize("block", ["position", "velocity", "attitude", "rate", "disturbance"])
+@pytest.mark.parametrize("size", [20.0, 1e6, 1e213])
+def test_an_estimate_that_was_thrown_away_is_replaced_before_the_vehicle_is(controller, block, size):
+    rows = [i for i, name in enumerate(controller.filter.states.names) if name.startswith(block)]
+
+    def seen(k, y):
+        if k == 60 and block == "attitude":
+            controller.estimate[rows] = [0.0, 1.0, 0.0, 0.0]
+        elif k == 60:
+            controller.estimate[rows] += size
+        return y
+
+    path, _ = fly(controller, 200, seen=seen)
+    restarts = [e.time for e in controller.events if e.what == "the filter starts anew"]
+    assert restarts
+    assert max(restarts) <= 0.01 * (60 + SOON)
+    assert np.abs(path[-1] - [0.0, 0.0, 1.0]).max() < 0.05
+    assert not controller.descending
+
+
+def test_measurements_that_deny_every_estimate_replace_none(controller):
+    rng = np.random.default_rng(4)
+
+    def seen(k, y):
+        return {c: v + rng.normal(0.0, 100.0) for c, v in y.items()} if 60 <= k < 80 else y
+
+    fly(controller, 60 + 21, seen=seen)
+    assert kinds(controller) >= {"not believed: x, y, z", "not believed: p"}
+    assert "the filter starts anew" not in kinds(controller)
 
 
 def test_garbage_never_raises_and_never_leaves_the_limits(controller):

@@ -92,6 +92,7 @@ def flown(steps: int, seed: int) -> None:
     assert tally.raised == []
     assert tally.outside == 0
     assert tally.back == tally.rests > 0
+    assert tally.lost == 0 < tally.home
 
 
 def test_commands_of_a_pilot_keep_their_limits():

@@ -9,8 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mpc_export.tube.descent import Watch
+
 STRETCH, REST = 100, 150
 """Samples with one kind of damage, and without any after it."""
+SOON = 5
+"""So many samples after the damage good measurements are believed."""
+NEAR = 0.1
+"""Who is nearer is there [m]."""
 
 
 def _power(rng, low, high):
@@ -35,8 +41,10 @@ CLOCKS = (None, math.nan, math.inf, -1e300, 1e9, "noon", 0.0)
 
 @dataclass
 class Tally:
-    """What a fuzzed flight did. outside: commands beyond limits or rate, or not finite; back: how many
-    stretches without damage, of `rests`, ended with a plan and an estimate within 0.1 m; slowest call [s]."""
+    """What a fuzzed flight did. outside: commands beyond limits or rate, or not finite. Of `rests`, the
+    stretches without damage, `back` ended with a plan and an estimate within 0.1 m, `home` with the craft
+    within 0.1 m of its place besides; of the others a pilot who is told the true state from SOON samples
+    after the damage on brings `lost` home. slowest: call [s]."""
 
     steps: Counter = field(default_factory=Counter)
     events: Counter = field(default_factory=Counter)
@@ -44,6 +52,8 @@ class Tally:
     raised: list[str] = field(default_factory=list)
     back: int = 0
     rests: int = 0
+    home: int = 0
+    lost: int = 0
     slowest: float = 0.0
 
 
@@ -60,6 +70,20 @@ def damaged(measured, kind, share, constant, rng):
     return out
 
 
+def brought_home(pilot, place, x, u):
+    """Whether a pilot who is told the true state brings the craft from x under u to its place in what is left of a rest."""
+    f = pilot.filter
+    at = [f.states.names.index(f"position.{a}") for a in "xyz"]
+    pilot.start(x)
+    pilot.u, pilot.past = u.copy(), [u.copy() for _ in pilot.past]
+    for k in range(REST - SOON):
+        pilot.estimate = x.copy()
+        measured = dict(zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist()))
+        new = np.array(pilot.sample(k * pilot.model.sample_time, measured))
+        x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), new
+    return bool(np.abs(x[at] - place[at]).max() < NEAR)
+
+
 def fuzzed(pilot, steps, seed):
     """The model as the plant, taken back to its place when it flew off or before every rest, and
     measurements damaged in stretches. A descent is taken back too: the pilot starts anew."""
@@ -67,6 +91,7 @@ def fuzzed(pilot, steps, seed):
     pilot.start()
     place = pilot.estimate.copy()
     at = [f.states.names.index(f"position.{a}") for a in "xyz"]
+    begun = []
     x, u, clock, kind, share, constant = place.copy(), pilot.u.copy(), 0.0, "", 0.0, 0.0
     kinds = (*KINDS, "missing", "mixed", "clock")
     for k in range(steps):
@@ -77,7 +102,9 @@ def fuzzed(pilot, steps, seed):
         if k % (STRETCH + REST) == STRETCH or not np.abs(x[at]).max() < 50.0:
             x = place.copy()
         if k % (STRETCH + REST) == STRETCH and pilot.descending:
-            pilot.descent = None
+            pilot.descent, pilot._watch = None, Watch()
+        if k % (STRETCH + REST) == STRETCH + SOON:
+            begun.append((x.copy(), u.copy()))
         measured = dict(zip(f.outputs.names, f["h"](x, u, f.parameter_values).full().ravel().tolist()))
         told = clock = clock + pilot.model.sample_time
         if not resting:
@@ -102,6 +129,11 @@ def fuzzed(pilot, steps, seed):
         x, u = f["f_d"](x, u, f.parameter_values).full().ravel(), new
         if k % (STRETCH + REST) == STRETCH + REST - 1:
             tally.rests += 1
-            known = np.abs(pilot.estimate[at] - x[at]).max() < 0.1
-            tally.back += bool(known and pilot.plan is not None and pilot._failures == 0)
+            known = np.abs(pilot.estimate[at] - x[at]).max() < NEAR
+            back = bool(known and pilot.plan is not None and pilot._failures == 0)
+            tally.back += back
+            if back and np.abs(x[at] - place[at]).max() < NEAR:
+                tally.home += 1
+                begun.pop()
+    tally.lost = sum(brought_home(pilot, place, *start) for start in begun[: tally.rests - tally.home])
     return tally
