@@ -58,4 +58,4 @@ def test_a_fit_that_was_given_up_is_carried_on_when_it_is_asked_for():
     (given_up,) = world.contest([(structure, [base.known])], base)
     assert not given_up.exact and not given_up.comparable
     whole = world.fit(structure)
-    assert whole.comparable and whole.log_evidence > given_up.log_evidence
+    assert whole.comparable and whole.value.cost < given_up.value.cost
