@@ -111,6 +111,9 @@ PROMISES: dict[str, dict[str, str]] = {
         "25 000 words, pages short": f"{SHORT}::test_all_pages_together_are_a_short_book",
         "five pages": f"{SHORT}::test_the_learning_path_has_five_pages_and_each_leads_to_the_next",
         "40 words a sentence": f"{SHORT}::test_sentences_of_the_learning_path_are_short",
+        "what to do with a bad fit is linked most": f"{SHORT}::"
+        "test_no_page_is_linked_more_often_than_what_to_do_with_a_bad_fit",
+        "figures stand by their command": f"{SHORT}::test_every_figure_stands_by_the_command_that_makes_it",
         "a site without a warning": "docs/test_the_site_builds_without_a_warning.py::"
         "test_the_site_builds_strictly_and_stands_alone",
         "no dead link": "docs/test_documentation_runs.py::test_every_link_leads_somewhere",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from itertools import pairwise
 
 import pytest
@@ -14,6 +15,8 @@ GENERATED = tuple(DOCS / f"{name}.md" for name in ("reference", "functions", "ty
 """Pages that a command writes from the code."""
 WRITTEN = [ROOT / "README.md", *sorted(p for p in DOCS.rglob("*.md") if p not in GENERATED)]
 ALL, PAGE, SENTENCE = 25_000, 2_000, 40
+FIGURE = 25
+"""Lines around a figure within which its command stands."""
 
 
 def without_code(text: str) -> str:
@@ -75,3 +78,23 @@ def test_sentences_are_told_apart() -> None:
     assert sentences(text) == ["One two.", "Three four (five.", "Six?", "- a link goes on", "- b", "c", "d e"]
     assert words("| --- | a 1.5 += `b`") == ["a", "1.5", "`b`"]
     assert without_code("x\n```c\nint y;\n```\nz\n").split() == ["x", "z"]
+
+
+def test_no_page_is_linked_more_often_than_what_to_do_with_a_bad_fit() -> None:
+    links = Counter(
+        name_of((page.parent / link).resolve())
+        for page in WRITTEN
+        for link in re.findall(r"\]\(([\w./]+\.md)[#)]", page.read_text(encoding="utf-8"))
+    )
+    assert links.most_common(1)[0][0] == "docs/bad_fit.md", links.most_common(3)
+
+
+def test_every_figure_stands_by_the_command_that_makes_it() -> None:
+    alone = []
+    for page in WRITTEN:
+        lines = page.read_text(encoding="utf-8").splitlines()
+        for k, line in enumerate(lines):
+            near = "\n".join(lines[max(0, k - FIGURE) : k + FIGURE + 1])
+            if line.startswith("![") and not re.search(r"python -m |greybox \w|make \w", near):
+                alone.append(f"{name_of(page)}: {line}")
+    assert alone == []
