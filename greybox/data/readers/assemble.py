@@ -33,7 +33,9 @@ FAST_ENOUGH = 100.0
 BY_RATE = ("command", "rate", "specific_force")
 """Groups whose sources compete by rate. Poses and velocities do not: those of another origin have another world frame."""
 
-_TIMES = ("t", "time", "timestamp", "time_s", "t_s", "time_ms", "time_us", "time_ns", "timestamp_us", "timestamp_ns")
+_TIMES = ("t", "time", *(f"{stem}_{unit}" for stem in ("time", "t", "timestamp") for unit in TIME_UNITS))
+"""Columns that are the time unasked: seconds, or the unit that the name states. A bare "timestamp" may be in any unit
+unless its type says so."""
 
 
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
@@ -43,18 +45,23 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
     named = mapping.time_field
     if named not in table.columns and "time" in mapping.optional:
         named = None
-    name = named or next((called[k] for k in _TIMES if k in called), None)
+    typed = ["timestamp"] if called.get("timestamp") in table.seconds else []
+    name = named or next((called[k] for k in (*_TIMES, *typed) if k in called), None)
     if name is None or name not in numbers:
         if name is not None and name not in table.columns:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
         raise DataError("no column 't' for the time", where=where, got=f"columns {', '.join(list(table.columns)[:12])}",
-                        fix='say which it is: [time] field = "..." in a mapping file (docs/logs.md)')  # fmt: skip
-    by_name = next((u for u in ("ms", "us", "ns") if name.lower().endswith("_" + u)), "s")
-    unit = mapping.time_unit or by_name
+                        fix="say field and unit of [time] in a mapping file (docs/logs.md)")  # fmt: skip
+    if mapping.time_field is not None and named is None:
+        mapping = LogMapping()  # what it says is said of a column that is not there
+    unit, factor = mapping.time_unit, mapping.time_scale
+    if unit is None:  # a scale alone is the whole way to seconds
+        stated = factor is not None or name in table.seconds
+        unit = "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
     text = tuple(k for k in table.columns if k not in numbers)
     stream = Stream(
         name=TABLE,
-        t=numbers[name] * (TIME_UNITS[unit] * mapping.time_scale) + mapping.time_offset,
+        t=numbers[name] * (TIME_UNITS[unit] * (1.0 if factor is None else factor)) + (mapping.time_offset or 0.0),
         fields=numbers,
         clock=f"column {name} [{unit}]",
         unread=text,
