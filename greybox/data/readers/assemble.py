@@ -210,7 +210,9 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     base = recording.streams[clock.stream]
     if base.n < 2:
         raise DataError(f"stream {base.name} has {base.n} samples", where=recording.source, expected="at least 2")
-    rows = base.t - clock.delay
+    # The columns of a table that nobody named stand at its stamps.
+    early = 0.0 if base.name == TABLE else clock.delay
+    rows = base.t - early
     zero = float(rows[np.isfinite(rows)][0]) if np.isfinite(rows).any() else 0.0
     columns: dict[str, npt.NDArray[Any]] = {"t": rows - zero}
     notes = [*recording.notes, *absent]
@@ -222,8 +224,9 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     for group in ordered:
         source = chosen[group]
         stream = recording.streams[source.stream]
-        direct = source.stream == clock.stream and source.delay == clock.delay
+        direct = source.stream == clock.stream and source.delay == early
         values = converted(stream, source)
+        infinite = np.isinf(values)
         t, values = (rows, values) if direct else _increasing(stream.t - source.delay, values)
         apart = "" if direct else _apart(t, rows)
         if apart:
@@ -247,6 +250,8 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
             placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
             if group == "attitude":
                 placed = _unit(placed)
+        if infinite.any() and not direct and stream.name == TABLE:
+            placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
         columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
         if not source.causal:

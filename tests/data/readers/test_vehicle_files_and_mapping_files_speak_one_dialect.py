@@ -13,6 +13,7 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.logs import read_table
+from greybox.data.raw import RawLog
 from greybox.data.readers.mapping import LogMapping, mapping_of, mapping_text, read_mapping
 from greybox.errors import DataError, OldFormWarning, UnknownNameError
 from greybox.examples import flight_path, vehicle_path
@@ -152,6 +153,29 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
     path.write_text(mapping_text({"schema": "greybox.mapping/1", **said.to_dict()}))
     assert read_mapping(path) == said
+
+
+def lag(raw: RawLog, name: str) -> float:
+    """By how much a 1 Hz sine is late on the clock of the log [s]."""
+    good = np.isfinite(raw.channels[name])
+    phase = 2 * np.pi * raw.t[good]
+    waves = np.column_stack([np.sin(phase), np.cos(phase), np.ones(phase.size)])
+    a, b, _ = np.linalg.lstsq(waves, raw.channels[name][good], rcond=None)[0]
+    return float(-np.arctan2(b, a) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("named", ["", '[velocity]\nfields = ["vx", "vy", "vz"]\n'])
+def test_a_delay_of_one_group_of_a_table_shifts_it_against_all_others(tmp_path: Path, named: str) -> None:
+    t = 0.01 * np.arange(300)
+    wave, late = np.sin(2 * np.pi * t), np.sin(2 * np.pi * (t - 0.05))
+    commands = {f"u{i}": 0.5 + 0.1 * wave for i in (1, 2, 3, 4)}
+    c = {"t": t, **commands, "p": late, "q": late, "r": late, "vx": wave, "vy": wave, "vz": wave, "z": wave}
+    (tmp_path / "map.toml").write_text(HEAD + '[rate]\nfields = ["p", "q", "r"]\ndelay = 0.05\n' + named)
+    raw = read_table(w.write_csv(tmp_path / "f.csv", c), mapping=tmp_path / "map.toml")
+    assert [lag(raw, n) for n in ("p", "u1", "vx", "z")] == pytest.approx([0.0] * 4, abs=1e-4)
+    c["p"][7] = np.inf
+    with pytest.raises(ValueError, match=r"row 9, column 'p'"):
+        read_table(w.write_csv(tmp_path / "g.csv", c), mapping=tmp_path / "map.toml")
 
 
 @pytest.mark.parametrize(
