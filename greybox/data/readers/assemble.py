@@ -249,7 +249,8 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         else:
             placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
             if group == "attitude":
-                placed = _unit(placed)
+                turned = _unit(placed)
+                placed = np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
         if infinite.any() and not direct and stream.name == TABLE:
             placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
@@ -313,7 +314,8 @@ def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
 def converted(stream: Stream, source: Source) -> FloatArray:
     """Values (N, K) of a source in our units and frames, row by row; velocity may be in body axes.
 
-    What is infinite is missing, but in a table, where the rows have a number by which it is refused later.
+    What is infinite, or a quaternion not of unit length, is missing, but in a table, where it is judged later by the
+    number of its row.
     """
     columns = []
     for name in source.fields:
@@ -335,7 +337,9 @@ def converted(stream: Stream, source: Source) -> FloatArray:
     if source.group == "attitude" and matrix.shape[1] == 3:
         matrix = _rotations("from_euler", matrix)
     matrix = other_frame(matrix, source.group, source.frame)
-    return continuous_signs(_unit(matrix))[0] if source.group == "attitude" else matrix
+    if source.group != "attitude":
+        return matrix
+    return continuous_signs(matrix if stream.name == TABLE else _unit(matrix))[0]
 
 
 def _increasing(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

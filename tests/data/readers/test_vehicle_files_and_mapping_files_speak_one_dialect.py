@@ -217,6 +217,20 @@ def test_a_mapping_without_fields_keeps_those_of_the_vehicle_file(
     assert merged.to_dict() == {"rate": meant}
 
 
+def test_quaternions_of_a_table_that_are_not_of_unit_length_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    c = w.channels(rows=200)
+    values = {k: 30 * c.pop(k) for k in ("qw", "qx", "qy", "qz")}
+    log = w.write_csv(tmp_path / "f.csv", {**c, **dict(zip("abcd", values.values(), strict=True))})
+    columns = '[columns.attitude]\nfields = ["a", "b", "c", "d"]\n'
+    for delay in ("", "delay = 0.005\n"):
+        assert main(["check", "--vehicle", str(vehicle_file(tmp_path / "v.toml", columns + delay)), str(log)]) != 0
+        said = capsys.readouterr().out
+        assert "quaternion(s) not of unit length" in said
+        assert "holds no value" not in said
+
+
 def test_the_unit_of_a_time_is_never_guessed(tmp_path: Path) -> None:
     c = w.channels(rows=200)
     t = c.pop("t")
