@@ -256,6 +256,17 @@ def test_the_unit_of_a_time_that_is_not_there_is_not_that_of_another(tmp_path: P
     np.testing.assert_array_equal(raw.t, c["t"])
 
 
+def test_inspect_is_silent_on_vehicle_files_that_nobody_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle_file(tmp_path / "v.toml", OLD)
+    log = w.write_csv(tmp_path / "f.csv", w.channels(rows=200))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        main(["inspect", str(log)])
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
