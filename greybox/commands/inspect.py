@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -86,13 +87,15 @@ def looks(found: Any, *, named: bool) -> tuple[tuple[Any, ...], tuple[str, str] 
 def beside(log: str, found: Any) -> str | None:
     """A vehicle file in the folder of the log whose `[columns]` are all there."""
     from greybox.data.readers.mapping import TABLE
-    from greybox.errors import GreyboxError
+    from greybox.errors import GreyboxError, OldFormWarning
     from greybox.model.vehicle import read_vehicle
 
     stream = found.recording.streams.get(TABLE)
     for path in sorted(Path(log).parent.glob("*.toml"))[:20] if stream is not None else ():
         try:
-            columns = read_vehicle(path).columns
+            with warnings.catch_warnings():  # nobody asked for this file
+                warnings.simplefilter("ignore", OldFormWarning)
+                columns = read_vehicle(path).columns
         except GreyboxError:
             continue
         if columns.names and columns.names <= set(stream.fields):

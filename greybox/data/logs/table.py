@@ -19,7 +19,7 @@ class Table:
 
     `rows` (N,) are the line numbers in the file, for messages. `canonical` tables are in channels, units and frames of
     the contract already; `noncausal` and `notes` are then the reader's, and `origins` maps channels to the columns of the
-    file, where that is one table.
+    file, where that is one table. `seconds` names the columns whose type says that they are times.
     """
 
     columns: Mapping[str, npt.NDArray[Any]]
@@ -30,6 +30,7 @@ class Table:
     noncausal: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict)
+    seconds: frozenset[str] = frozenset()
 
 
 def text_error(table: Table, column: str, name: str) -> DataError:

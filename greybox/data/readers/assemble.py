@@ -33,7 +33,9 @@ FAST_ENOUGH = 100.0
 BY_RATE = ("command", "rate", "specific_force")
 """Groups whose sources compete by rate. Poses and velocities do not: those of another origin have another world frame."""
 
-_TIMES = ("t", "time", "timestamp", "time_s", "t_s", "time_ms", "time_us", "time_ns", "timestamp_us", "timestamp_ns")
+_TIMES = ("t", "time", *(f"{stem}_{unit}" for stem in ("time", "t", "timestamp") for unit in TIME_UNITS))
+"""Columns that are the time unasked: seconds, or the unit that the name states. A bare "timestamp" may be in any unit
+unless its type says so."""
 
 
 def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recording:
@@ -43,18 +45,23 @@ def stream_of_table(table: Table, mapping: LogMapping, *, where: str) -> Recordi
     named = mapping.time_field
     if named not in table.columns and "time" in mapping.optional:
         named = None
-    name = named or next((called[k] for k in _TIMES if k in called), None)
+    typed = ["timestamp"] if called.get("timestamp") in table.seconds else []
+    name = named or next((called[k] for k in (*_TIMES, *typed) if k in called), None)
     if name is None or name not in numbers:
         if name is not None and name not in table.columns:
             raise UnknownNameError("column", name, table.columns, where=f"{where}: the time")
         raise DataError("no column 't' for the time", where=where, got=f"columns {', '.join(list(table.columns)[:12])}",
-                        fix='say which it is: [time] field = "..." in a mapping file (docs/logs.md)')  # fmt: skip
-    by_name = next((u for u in ("ms", "us", "ns") if name.lower().endswith("_" + u)), "s")
-    unit = mapping.time_unit or by_name
+                        fix="say field and unit of [time] in a mapping file (docs/logs.md)")  # fmt: skip
+    if mapping.time_field is not None and named is None:
+        mapping = LogMapping()  # what it says is said of a column that is not there
+    unit, factor = mapping.time_unit, mapping.time_scale
+    if unit is None:  # a scale alone is the whole way to seconds
+        stated = factor is not None or name in table.seconds
+        unit = "s" if stated else next((u for u in TIME_UNITS if name.lower().endswith("_" + u)), "s")
     text = tuple(k for k in table.columns if k not in numbers)
     stream = Stream(
         name=TABLE,
-        t=numbers[name] * (TIME_UNITS[unit] * mapping.time_scale) + mapping.time_offset,
+        t=numbers[name] * (TIME_UNITS[unit] * (1.0 if factor is None else factor)) + (mapping.time_offset or 0.0),
         fields=numbers,
         clock=f"column {name} [{unit}]",
         unread=text,
@@ -203,7 +210,9 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     base = recording.streams[clock.stream]
     if base.n < 2:
         raise DataError(f"stream {base.name} has {base.n} samples", where=recording.source, expected="at least 2")
-    rows = base.t - clock.delay
+    # The columns of a table that nobody named stand at its stamps.
+    early = 0.0 if base.name == TABLE else clock.delay
+    rows = base.t - early
     zero = float(rows[np.isfinite(rows)][0]) if np.isfinite(rows).any() else 0.0
     columns: dict[str, npt.NDArray[Any]] = {"t": rows - zero}
     notes = [*recording.notes, *absent]
@@ -215,8 +224,9 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
     for group in ordered:
         source = chosen[group]
         stream = recording.streams[source.stream]
-        direct = source.stream == clock.stream and source.delay == clock.delay
+        direct = source.stream == clock.stream and source.delay == early
         values = converted(stream, source)
+        infinite = np.isinf(values)
         t, values = (rows, values) if direct else _increasing(stream.t - source.delay, values)
         apart = "" if direct else _apart(t, rows)
         if apart:
@@ -239,7 +249,10 @@ def _assembled(recording: Recording, mapping: LogMapping | None) -> Table:
         else:
             placed = at_rows(t, values, rows, base.step, step=stream.step, sparse=group != "battery")
             if group == "attitude":
-                placed = _unit(placed)
+                turned = _unit(placed)
+                placed = np.where(np.isnan(turned), placed, turned) if stream.name == TABLE else turned
+        if infinite.any() and not direct and stream.name == TABLE:
+            placed = np.where(infinite, np.inf, placed)  # refused later by the number of its row
         names = group_names(group, values.shape[1])
         columns.update({n: np.ascontiguousarray(placed[:, j]) for j, n in enumerate(names)})
         if not source.causal:
@@ -301,7 +314,8 @@ def _rotations(name: str, *arrays: FloatArray) -> FloatArray:
 def converted(stream: Stream, source: Source) -> FloatArray:
     """Values (N, K) of a source in our units and frames, row by row; velocity may be in body axes.
 
-    What is infinite is missing, but in a table, where the rows have a number by which it is refused later.
+    What is infinite, or a quaternion not of unit length, is missing, but in a table, where it is judged later by the
+    number of its row.
     """
     columns = []
     for name in source.fields:
@@ -323,7 +337,9 @@ def converted(stream: Stream, source: Source) -> FloatArray:
     if source.group == "attitude" and matrix.shape[1] == 3:
         matrix = _rotations("from_euler", matrix)
     matrix = other_frame(matrix, source.group, source.frame)
-    return continuous_signs(_unit(matrix))[0] if source.group == "attitude" else matrix
+    if source.group != "attitude":
+        return matrix
+    return continuous_signs(matrix if stream.name == TABLE else _unit(matrix))[0]
 
 
 def _increasing(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

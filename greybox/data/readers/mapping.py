@@ -16,8 +16,8 @@ It is spoken in a mapping file (TOML, schema "greybox.mapping/1") and in the tab
     unit = "deg/s"
     frame = "FRD"
 
-A group without `fields` keeps the reader's own way: `stream` picks among its sources, `delay` and `causal` are set on
-the one that is taken; `use = false` leaves the group out.
+A group without `fields` keeps those of the vehicle file, else the reader's own way: `stream` picks among its sources,
+`delay` and `causal` are set on the one that is taken; `use = false` leaves the group out.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class LogMapping:
     """Sources per group, groups left out, clock and time column, of one file.
 
     Of groups that keep the reader's sources, `preferred` names the stream and `changed` the delay and causality. A log
-    may lack what the groups (and "clock", "time") of `optional` name. The time [s] is `time_scale` times its column plus
-    `time_offset`.
+    may lack what the groups (and "clock", "time") of `optional` name. The time [s] is `time_scale` (None: 1) times its
+    column plus `time_offset` (None: 0).
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
@@ -61,8 +61,8 @@ class LogMapping:
     clock: str | None = None
     time_field: str | None = None
     time_unit: str | None = None
-    time_scale: float = 1.0
-    time_offset: float = 0.0
+    time_scale: float | None = None
+    time_offset: float | None = None
     where: str = field(default="", compare=False)
 
     def __bool__(self) -> bool:
@@ -81,18 +81,25 @@ class LogMapping:
         return frozenset(fields | {self.time_field or ""}) - {""}
 
     def over(self, other: LogMapping) -> LogMapping:
-        """This mapping, and of `other` what it leaves open."""
+        """This mapping, and of `other` what it leaves open.
+
+        Fields, a time column or a unit of the time of its own take nothing that `other` says of another one.
+        """
         mine = self.groups
+        kept = frozenset(g for g in mine if self._refines(other, g))
 
         def rest(theirs: Mapping[str, Any]) -> dict[str, Any]:
-            return {k: v for k, v in theirs.items() if k not in mine}
+            return {k: v for k, v in theirs.items() if k not in mine or k in kept}
 
-        time = self if self.time_field or self.time_unit else other
-        stated = mine | ({"clock"} if self.clock else set()) | ({"time"} if time is self else set())
+        sources = {g: replace(s, **self.changed.get(g, {})) for g, s in rest(other.sources).items()}
+        changed = {g: {**rest(other.changed).get(g, {}), **c} for g, c in self.changed.items()}
+        own = frozenset(sources) & kept  # their groups have fields, so that nothing is left to the reader
+        time = self._time_over(other)
+        stated = mine | ({"clock"} if self.clock else set()) | ({"time"} if self._says_time else set())
         return LogMapping(
-            sources={**rest(other.sources), **self.sources},
-            preferred={**rest(other.preferred), **self.preferred},
-            changed={**rest(other.changed), **self.changed},
+            sources={**sources, **self.sources},
+            preferred={g: s for g, s in {**rest(other.preferred), **self.preferred}.items() if g not in own},
+            changed={g: c for g, c in {**rest(other.changed), **changed}.items() if g not in own},
             unused=self.unused | (other.unused - mine),
             optional=self.optional | (other.optional - stated),
             clock=self.clock or other.clock,
@@ -103,11 +110,35 @@ class LogMapping:
             where=self.where or other.where,
         )
 
+    def _refines(self, other: LogMapping, group: str) -> bool:
+        """Whether what is said of a group goes with what `other` says: no fields and no other stream."""
+        if group in self.sources or group in self.unused:
+            return False
+        source = other.sources.get(group)
+        theirs = source.stream if source is not None else other.preferred.get(group)
+        return theirs is None or self.preferred.get(group) in (None, theirs)
+
+    @property
+    def _says_time(self) -> bool:
+        return any(v is not None for v in (self.time_field, self.time_unit, self.time_scale, self.time_offset))
+
+    def _time_over(self, other: LogMapping) -> LogMapping:
+        """The time as this mapping and then `other` say it."""
+        if self.time_field not in (None, other.time_field):
+            return self
+        scale = self.time_scale if self.time_scale is not None or self.time_unit else other.time_scale
+        return LogMapping(
+            time_field=other.time_field,
+            time_unit=self.time_unit or other.time_unit,
+            time_scale=scale,
+            time_offset=other.time_offset if self.time_offset is None else self.time_offset,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """The tables of its file, as plain values."""
         out: dict[str, Any] = {} if self.clock is None else {"clock": self.clock}
         time = {"field": self.time_field, "unit": self.time_unit, "scale": self.time_scale, "offset": self.time_offset}
-        if time := {k: v for k, v in time.items() if v not in (None, _DEFAULTS.get(k))}:
+        if time := {k: v for k, v in time.items() if v is not None}:
             out["time"] = time
         for group in GROUPS:
             if group in self.unused:
@@ -185,8 +216,8 @@ def mapping_of(content: Mapping[str, Any], *, where: str, path: str = "") -> Log
         clock=_text(content, "clock", where, None),
         time_field=_text(time, "field", place, None),
         time_unit=unit,
-        time_scale=_factor(_number(time.get("scale", 1.0), f"{place}.scale"), f"{place}.scale"),
-        time_offset=_number(time.get("offset", 0.0), f"{place}.offset"),
+        time_scale=_factor(_number(time["scale"], f"{place}.scale"), f"{place}.scale") if "scale" in time else None,
+        time_offset=_number(time["offset"], f"{place}.offset") if "offset" in time else None,
         where=where,
     )
     for group in GROUPS:

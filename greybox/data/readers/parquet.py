@@ -35,10 +35,12 @@ def read_parquet(path: str | os.PathLike[str]) -> Table:
         columns: dict[str, npt.NDArray[Any]] = {}
         for name, column in zip(content.column_names, content.columns, strict=True):
             columns.update(_column(str(name), column))
+        timed = frozenset(str(f.name) for f in content.schema if str(f.type).startswith("timestamp"))
         n = content.num_rows
     if n == 0 or not columns:
         raise DataError("a table without rows", where=where, fix="export the log again")
-    return Table(columns=columns, rows=np.arange(1, n + 1, dtype=np.int64), source=Path(path).name, sha256=digest)
+    rows = np.arange(1, n + 1, dtype=np.int64)
+    return Table(columns=columns, rows=rows, source=Path(path).name, sha256=digest, seconds=timed)
 
 
 def _column(name: str, column: Any) -> dict[str, npt.NDArray[Any]]:

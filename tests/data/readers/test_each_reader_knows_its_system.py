@@ -310,6 +310,8 @@ def test_times_and_lists_of_parquet_are_columns(tmp_path: Path) -> None:
     named = mapping(tmp_path, '[rate]\nfields = ["gyro[0]", "gyro[1]", "gyro[2]"]\n')
     raw = read_table(tmp_path / "f.parquet", mapping=named)
     np.testing.assert_allclose(np.diff(raw.t), 0.01, atol=1e-6)
+    pq.write_table(table.rename_columns(["timestamp_us", "gyro", "u1", "mode"]), tmp_path / "us.parquet")
+    np.testing.assert_array_equal(read_table(tmp_path / "us.parquet", mapping=named).t, raw.t)
     np.testing.assert_allclose(raw.channels["q"], 0.2, atol=1e-7)
     assert np.isnan(raw.channels["u1"]).sum() == N / 2
 

@@ -13,8 +13,9 @@ import pytest
 
 from greybox.cli import main
 from greybox.data.logs import read_table
+from greybox.data.raw import RawLog
 from greybox.data.readers.mapping import LogMapping, mapping_of, mapping_text, read_mapping
-from greybox.errors import OldFormWarning, UnknownNameError
+from greybox.errors import DataError, OldFormWarning, UnknownNameError
 from greybox.examples import flight_path, vehicle_path
 from greybox.model.vehicle import Vehicle, read_vehicle
 from tests.data.readers import writers as w
@@ -30,6 +31,9 @@ u3 = { name = "pwm3", scale = 1e-3, offset = -1.0 }
 u4 = { name = "pwm4", scale = 1e-3, offset = -1.0 }
 vx = { name = "vicon_vx", causal = false }
 """
+
+HEAD = 'schema = "greybox.mapping/1"\n'
+GYRO = {"fields": ["gx", "gy", "gz"], "unit": "deg/s"}
 
 
 def vehicle_file(path: Path, columns: str) -> Path:
@@ -149,6 +153,118 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "map.toml"
     path.write_text(mapping_text({"schema": "greybox.mapping/1", **said.to_dict()}))
     assert read_mapping(path) == said
+
+
+def lag(raw: RawLog, name: str) -> float:
+    """By how much a 1 Hz sine is late on the clock of the log [s]."""
+    good = np.isfinite(raw.channels[name])
+    phase = 2 * np.pi * raw.t[good]
+    waves = np.column_stack([np.sin(phase), np.cos(phase), np.ones(phase.size)])
+    a, b, _ = np.linalg.lstsq(waves, raw.channels[name][good], rcond=None)[0]
+    return float(-np.arctan2(b, a) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("named", ["", '[velocity]\nfields = ["vx", "vy", "vz"]\n'])
+def test_a_delay_of_one_group_of_a_table_shifts_it_against_all_others(tmp_path: Path, named: str) -> None:
+    t = 0.01 * np.arange(300)
+    wave, late = np.sin(2 * np.pi * t), np.sin(2 * np.pi * (t - 0.05))
+    commands = {f"u{i}": 0.5 + 0.1 * wave for i in (1, 2, 3, 4)}
+    c = {"t": t, **commands, "p": late, "q": late, "r": late, "vx": wave, "vy": wave, "vz": wave, "z": wave}
+    (tmp_path / "map.toml").write_text(HEAD + '[rate]\nfields = ["p", "q", "r"]\ndelay = 0.05\n' + named)
+    raw = read_table(w.write_csv(tmp_path / "f.csv", c), mapping=tmp_path / "map.toml")
+    assert [lag(raw, n) for n in ("p", "u1", "vx", "z")] == pytest.approx([0.0] * 4, abs=1e-4)
+    c["p"][7] = np.inf
+    with pytest.raises(ValueError, match=r"row 9, column 'p'"):
+        read_table(w.write_csv(tmp_path / "g.csv", c), mapping=tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "meant"),
+    [
+        ({"unit": "ms"}, {"field": "stamp"}, {"field": "stamp", "unit": "ms"}),
+        ({"scale": 1e-3}, {"field": "stamp", "offset": 2.0}, {"field": "stamp", "scale": 1e-3, "offset": 2.0}),
+        ({"offset": 0.5}, {"field": "stamp", "unit": "us"}, {"field": "stamp", "unit": "us", "offset": 0.5}),
+        ({"scale": 1.0}, {"field": "stamp", "scale": 1e-3}, {"field": "stamp", "scale": 1.0}),
+        ({"unit": "us"}, {"field": "stamp", "scale": 1e-3}, {"field": "stamp", "unit": "us"}),
+        ({"field": "clock_s"}, {"field": "stamp", "unit": "us", "offset": 2.0}, {"field": "clock_s"}),
+    ],
+)
+def test_a_time_of_both_files_is_merged_key_by_key(
+    first: dict[str, object], second: dict[str, object], meant: dict[str, object]
+) -> None:
+    """A unit takes the place of a scale, and another column has a unit of its own."""
+    merged = mapping_of({"time": first}, where="map").over(mapping_of({"time": second}, where="vehicle"))
+    assert merged.to_dict() == {"time": meant}
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "meant"),
+    [
+        ({"delay": 0.01}, GYRO, {**GYRO, "delay": 0.01}),
+        ({"stream": "/imu", "causal": False}, {**GYRO, "stream": "/imu"}, {**GYRO, "stream": "/imu", "causal": False}),
+        ({"stream": "/imu2", "delay": 0.01}, GYRO, {"stream": "/imu2", "delay": 0.01}),
+        ({"delay": 0.01}, {"stream": "/imu", "causal": False}, {"stream": "/imu", "causal": False, "delay": 0.01}),
+        ({"stream": "/imu"}, {"causal": False}, {"stream": "/imu", "causal": False}),
+        ({"fields": ["a", "b", "c"]}, GYRO, {"fields": ["a", "b", "c"]}),
+        ({"use": False}, GYRO, {"use": False}),
+    ],
+)
+def test_a_mapping_without_fields_keeps_those_of_the_vehicle_file(
+    mine: dict[str, object], theirs: dict[str, object], meant: dict[str, object]
+) -> None:
+    """Their unit too, unless another stream is named: degrees must not become radians unseen."""
+    merged = mapping_of({"rate": mine}, where="map").over(mapping_of({"rate": theirs}, where="vehicle"))
+    assert merged.to_dict() == {"rate": meant}
+
+
+def test_quaternions_of_a_table_that_are_not_of_unit_length_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    c = w.channels(rows=200)
+    values = {k: 30 * c.pop(k) for k in ("qw", "qx", "qy", "qz")}
+    log = w.write_csv(tmp_path / "f.csv", {**c, **dict(zip("abcd", values.values(), strict=True))})
+    columns = '[columns.attitude]\nfields = ["a", "b", "c", "d"]\n'
+    for delay in ("", "delay = 0.005\n"):
+        assert main(["check", "--vehicle", str(vehicle_file(tmp_path / "v.toml", columns + delay)), str(log)]) != 0
+        said = capsys.readouterr().out
+        assert "quaternion(s) not of unit length" in said
+        assert "holds no value" not in said
+
+
+def test_the_unit_of_a_time_is_never_guessed(tmp_path: Path) -> None:
+    c = w.channels(rows=200)
+    t = c.pop("t")
+    rate = HEAD + '[rate]\nfields = ["p", "q", "r"]\n'
+
+    def step(column: str, scale: float, text: str) -> float:
+        (tmp_path / "map.toml").write_text(text)
+        log = w.write_csv(tmp_path / "f.csv", {column: scale * t, **c})
+        return float(np.diff(read_table(log, mapping=tmp_path / "map.toml").t)[0])
+
+    for column, scale in (("time", 1.0), ("t_s", 1.0), ("timestamp_us", 1e6), ("time_ms", 1e3)):
+        assert step(column, scale, rate) == pytest.approx(0.01)
+    with pytest.raises(DataError, match="no column 't' for the time; got columns timestamp"):
+        step("timestamp", 1e6, rate)
+    assert step("timestamp", 1e6, rate + '[time]\nfield = "timestamp"\nunit = "us"\n') == pytest.approx(0.01)
+    assert step("time_ms", 1e3, rate + '[time]\nfield = "time_ms"\nscale = 1e-3\n') == pytest.approx(0.01)
+
+
+def test_the_unit_of_a_time_that_is_not_there_is_not_that_of_another(tmp_path: Path) -> None:
+    c = w.channels(rows=200)
+    columns = '[columns.time]\nfield = "stamp"\nunit = "ms"\noffset = 3.0\n'
+    raw = read_table(w.write_csv(tmp_path / "f.csv", c), read_vehicle(vehicle_file(tmp_path / "v.toml", columns)))
+    np.testing.assert_array_equal(raw.t, c["t"])
+
+
+def test_inspect_is_silent_on_vehicle_files_that_nobody_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    vehicle_file(tmp_path / "v.toml", OLD)
+    log = w.write_csv(tmp_path / "f.csv", w.channels(rows=200))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        main(["inspect", str(log)])
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(
