@@ -125,7 +125,7 @@ def test_what_is_fitted_knows_nothing_of_the_simulated_plants():
 
 
 def test_foreign_simulators_share_nothing_with_what_they_judge():
-    simulators = {"rotorpy", "mujoco", "drone_models", "casadi", "scipy", "numpy"}
+    simulators = {"rotorpy", "mujoco", "drone_models", "pybullet", "casadi", "scipy", "numpy"}
     reached = ("scenarios.foreign", *PLANTS)
     wrong = []
     for path in files("scenarios/foreign"):
