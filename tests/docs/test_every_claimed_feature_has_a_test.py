@@ -58,7 +58,7 @@ CLAIMS: dict[str, dict[str, str]] = {
     "What is left": {
         "greybox learn learns the remaining force and torque": "tests/residual/test_learn_helps_and_does_no_harm.py",
         "with an uncertainty that holds": "tests/claims/test_hybrid_knows_how_sure_it_is.py",
-        "greybox compare puts linear PEM, LSTM, GP alone and both hybrids into one table": "tests/residual/"
+        "greybox compare puts linear PEM, LSTM, GP alone and both hybrids into one table": "tests/baselines/"
         "test_comparisons_judge_all_alike.py",
     },
     "Digital twin": {

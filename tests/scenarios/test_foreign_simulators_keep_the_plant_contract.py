@@ -257,4 +257,4 @@ def test_a_plant_says_how_many_commands_and_seeds_it_takes():
 def test_a_craft_needs_a_lag():
     with pytest.raises(ValueError, match="lag"):
         replace(CRAFT, lag=0.0)
-    assert len(ALL) == 4
+    assert len(ALL) == 5
