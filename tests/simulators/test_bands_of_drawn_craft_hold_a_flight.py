@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import greybox.simulators.coverage as coverage_module
+from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.parameter import ParameterValues
 from greybox.simulators.coverage import Covered, coverage, format_table
-from greybox.simulators.draws import draw
+from greybox.simulators.draws import Draws, draw
 from greybox.simulators.push_levels import with_push_levels
+from greybox.symbolic import FloatArray
 from tests import simulated
 
 NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
@@ -76,6 +78,44 @@ def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPa
     shares = [[r[g, h].share for g in ("velocity", "rate") for h in (0.5, 1.0)] for r in (before, after)]
     assert np.mean(shares[1]) > np.mean(shares[0]) + 0.1
     assert np.mean(shares[1]) > 0.85
+
+
+def factors(m: IdentifiedModel, flights: Dataset, seed: int) -> FloatArray:
+    """Median level of every noise over that of the filter."""
+    counted = with_push_levels(m, few_draws(), flights, seed=seed)
+    return np.asarray(np.median(counted.levels, axis=0) / m.process_noise)
+
+
+@functools.cache
+def few_draws() -> Draws:
+    return draw(model(), 24, seed=1)
+
+
+def test_push_levels_follow_the_flights_and_not_the_seed() -> None:
+    """Pushes of force at the filter's level move this craft by a thousandth of its error: nothing tells of them."""
+    m, flights = model(), simulated.flights(2, 9.0, first_seed=60)
+    one, two = (factors(m, flights, seed) for seed in (1, 2))
+    names = m.dynamics.noises.names
+    for i in (names.index("torque.x"), names.index("torque.y")):
+        assert one[i] > 2.0
+        assert two[i] == pytest.approx(one[i], rel=0.3)
+    for found in (one, two):
+        assert found[names.index("force.x")] == pytest.approx(1.0, abs=0.4)
+        assert found[names.index("force.z")] == pytest.approx(1.0, abs=0.4)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> None:
+    flights = list(simulated.flights(3, 7.0, first_seed=60))
+    blind = {"vx", "vy", "vz"}
+    flights[place] = replace(
+        flights[place],
+        segments=tuple(
+            replace(s, channels={k: v for k, v in s.channels.items() if k not in blind}) for s in flights[place].segments
+        ),
+    )
+    found = with_push_levels(model(), few_draws(), Dataset(flights=tuple(flights)), seed=1)
+    assert "counted on 3 flights" in found.pushes
 
 
 def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
