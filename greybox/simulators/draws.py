@@ -223,12 +223,21 @@ def _uncertain(model: IdentifiedModel) -> tuple[list[str], list[str]]:
 def _joint(
     model: IdentifiedModel, shared: list[str], between: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights."""
+    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights; what
+    a held parameter is off by moves both."""
     known, joint = model.joint_covariance
     at = np.array([known.index(n) for n in shared], dtype=int)
     spread = [model.flight_spread[n] for n in between]
-    covariance = np.diag([0.0] * len(at) + [s**2 for _, s in spread])
+    held = [sigma for sigma, _ in model.considered.values()]
+    # how far one standard error of every held parameter moves each one; itself, by just that
+    moved = [
+        [s * (float(n == h) + by.get(n, 0.0)) for h, (s, by) in model.considered.items()]
+        for n in (*shared, *between)
+    ]
+    moves = np.array(moved).reshape(len(moved), len(held))
+    covariance = moves @ moves.T
     covariance[: len(at), : len(at)] = joint[np.ix_(at, at)]
+    covariance[len(at) :, len(at) :] += np.diag([s**2 for _, s in spread])
     mean = [*(float(model.values[n]) for n in shared), *(m for m, _ in spread)]
     return np.array(mean), covariance
 

@@ -80,6 +80,24 @@ def test_a_ratio_that_flights_know_is_kept_where_the_mass_was_only_held() -> Non
     assert (c2 / m).mean() == pytest.approx(thrust / mass, rel=2e-3)
 
 
+def test_thrust_of_every_flight_is_drawn_with_the_mass_that_was_held() -> None:
+    """Thrust over mass differs by 1 % between flights; both are off by the error of the mass together."""
+    model = uncertain((0.02,) * 6)
+    thrust, mass = model.values["thrust.c2"], model.values["mass"]
+    model = replace(
+        model,
+        covariance_names=("motor_lag.tau",),
+        covariance=np.array([[1e-6]]),
+        considered={"mass": (0.15 * mass, {"thrust.c2": thrust / mass, "motor_lag.tau": 0.0})},
+        flight_spread={"thrust.c2": (thrust, 0.01 * thrust)},
+    )
+    draws = draw(model, 4000, seed=1)
+    c2, m = draws.column("thrust.c2"), draws.column("mass")
+    assert (c2 / m).std() == pytest.approx(0.01 * thrust / mass, rel=0.1)
+    assert c2.std() == pytest.approx(0.15 * thrust, rel=0.05)
+    assert draws.column("motor_lag.tau").std() == pytest.approx(1e-3, rel=0.05)
+
+
 def test_products_of_inertia_are_drawn_with_the_moments() -> None:
     model = uncertain((0.1,) * 6)
     products = {f"products_of_inertia.{n}": v for n, v in (("Jxy", 8e-4), ("Jxz", -3e-4), ("Jyz", 2e-4))}
