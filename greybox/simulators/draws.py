@@ -41,6 +41,8 @@ ROUNDS = 200
 IN_MJX = ("motor_lag", "rotor_asymmetry")
 """Effects of rotors that MuJoCo's model has arrays for."""
 MOST_DRAWS = 1_000_000
+SHIFT = 0.1
+"""Distance of a mean from the identified value, over the standard deviation, above which it is said."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,14 +149,25 @@ class Draws:
             ]
         return "\n".join(lines) + "\n"
 
+    def _shift(self, name: str) -> str:
+        """In words, where the draws' mean is off by more than chance (3 standard errors) and SHIFT."""
+        v, identified = self.column(name), float(self.craft.source.values[name])
+        away = float(v.mean()) - identified
+        sigma = float(v.std())
+        if abs(away) <= max(SHIFT, 3.0 / math.sqrt(len(v))) * sigma:
+            return ""
+        side = "above" if away > 0 else "below"
+        return f", {abs(away) / sigma:.1f} sigma {side} the identified {identified:.4g}: cut to what can be"
+
     def summary(self) -> str:
-        """One line per parameter that varies."""
+        """One line per parameter that varies; with how far its mean is from the identified value,
+        where bounds of what a body can be move it."""
         lines = [f"{len(self)} draws, seed {self.seed}:"]
         for name in self.drawn:
             v = self.column(name)
             mean = float(v.mean())
             share = f" ({100 * float(v.std()) / abs(mean):.1f} %)" if mean else ""
-            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}")
+            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}{self._shift(name)}")
         lines += [*self.learned, *([self.pushes] if self.pushes else [])]
         return "\n".join(lines)
 

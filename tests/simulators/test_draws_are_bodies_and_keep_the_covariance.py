@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
@@ -136,10 +137,17 @@ def test_a_flat_craft_is_not_drawn_wider_than_it_is_known() -> None:
     draws = draw(model, 4000, seed=3)
     j = moments(draws)
     assert (j[:, 2] < j[:, 0] + j[:, 1]).all()
-    for name, value in flat.items():
-        sigma = np.sqrt(model.covariance[NAMES.index(name), NAMES.index(name)])
-        assert draws.column(name).std() < 1.05 * sigma
-        assert abs(draws.column(name).mean() - value) < sigma
+    size = np.sqrt(np.diag(model.covariance)[:3])
+    second = 0.5 * (np.ones((3, 3)) - 2.0 * np.eye(3))  # second moments of the moments of inertia
+    s, sigma = second @ list(flat.values()), np.sqrt(second**2 @ size**2)
+    above = truncnorm.mean(-s / sigma, np.inf, s, sigma)  # no body has less than none
+    mean = np.linalg.solve(second, above)
+    for i, name in enumerate(flat):
+        assert draws.column(name).std() < 1.05 * size[i]
+        assert draws.column(name).mean() == pytest.approx(mean[i], abs=0.06 * size[i])
+    xx, *_ = (line for line in draws.summary().splitlines() if "inertia.xx" in line)
+    assert "sigma above the identified 0.01: cut to what can be" in xx
+    assert "identified" not in draw(uncertain((0.03,) * 6), 4000, seed=3).summary(), "no body was cut"
 
 
 def test_a_moment_of_its_own_in_every_flight_is_drawn_as_a_bodys_too() -> None:
