@@ -179,6 +179,11 @@ class IdentifiedModel(Shown):
         cross = moves.reshape(len(names), len(held)) @ square
         return (*names, *held), np.block([[self.covariance, cross], [cross.T, square]])
 
+    @property
+    def noise_ahead(self) -> FloatArray:
+        """Process noise (n_w) where nothing is measured any more: `horizon_noise`, where there is one."""
+        return self.process_noise if self.horizon_noise is None else self.horizon_noise
+
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
         values = self.values.replace(dict(changes or {}))

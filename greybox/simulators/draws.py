@@ -213,14 +213,13 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
         weights = push.draw(count, np.random.default_rng([seed, 5]))
         values, names = np.hstack([values, weights]), tuple(d.name for d in push.parameters)
         learned = _learned(model.dynamics, push.spread(weights))
-    noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
     return Draws(
         craft=craft,
         names=names,
         values=values,
         drawn=drawn,
         seed=seed,
-        levels=np.tile(noise, (count, 1)),
+        levels=np.tile(model.noise_ahead, (count, 1)),
         learned=learned,
     )
 

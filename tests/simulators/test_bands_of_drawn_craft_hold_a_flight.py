@@ -13,9 +13,12 @@ from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
 from greybox.simulators.coverage import Covered, coverage, format_table
+from greybox.simulators.craft import Craft
 from greybox.simulators.draws import Draws, draw
+from greybox.simulators.make import twin
 from greybox.simulators.push_levels import with_push_levels
 from greybox.symbolic import FloatArray
 from tests import simulated
@@ -116,6 +119,31 @@ def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> No
     )
     found = with_push_levels(model(), few_draws(), Dataset(flights=tuple(flights)), seed=1)
     assert "counted on 3 flights" in found.pushes
+
+
+def test_every_file_has_the_level_of_pushes_ahead() -> None:
+    """A model with calibrated levels: words, simulate.py and draws say these, not those of one step ahead."""
+    m = model()
+    whole = with_disturbance(m.dynamics, ["force"], time=0.5)
+    values = ParameterValues({d.name: d.nominal for d in whole.parameters}).replace(dict(m.values))
+    m = replace(
+        m, dynamics=whole, values=values, process_noise=whole.noise_scale(0.01), weak=np.full(len(whole.error_states), 1e3),
+        reference_state=whole.reference({}),
+    )  # fmt: skip
+    calibrated = replace(m, horizon_noise=3.0 * m.process_noise)
+    said = [Craft.of(one).pushes for one in (m, replace(m, process_noise=3.0 * m.process_noise), calibrated)]
+    assert "unexplained force" in said[0] and said[0] != said[1] == said[2]
+    draws = draw(calibrated, 20, seed=1)
+    np.testing.assert_array_equal(draws.levels[0], calibrated.noise_ahead)
+    np.testing.assert_array_equal(coverage_module.module_of(calibrated, draws)["NOISE"], calibrated.noise_ahead)
+
+
+def test_pushes_that_are_counted_on_flights_of_no_fit_are_said() -> None:
+    flights = simulated.flights(1, 7.0, first_seed=60)
+    (name,) = flights.names
+    for trained_on, said in (((name,), False), ((), False), (("morning",), True)):
+        notes = twin(replace(model(), trained_on=trained_on), ["numpy"], draws=20, train=flights).notes
+        assert (f"pushes are counted on {name}, but the model says that it was fitted to morning" in str(notes)) is said
 
 
 def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
