@@ -284,10 +284,7 @@ def _finish(
     n_samples = int(sum(r.n for r in problem.records))
     free = [i for i, u in enumerate(problem.unknowns) if u.kind != "initial"]
     model = _identified(problem, data, theta, estimates, names, cov, whitened)
-    moved = {
-        n: (sigma, dict(zip(names, moves[shared].tolist(), strict=True)))
-        for n, (sigma, moves) in considered.moves.items()
-    }
+    moved = {n: (s, _moves(problem, keep, by)) for n, (s, by) in considered.moves.items()}
     model = replace(model, considered=moved)
     return Fit(
         estimates=Estimates(
@@ -322,6 +319,16 @@ def _finish(
             ),
         ),
     )
+
+
+def _moves(problem: Problem, keep: Sequence[int], moves: FloatArray) -> dict[str, float]:
+    """Parameter -> how far it moves per unit of a held one, of those in `keep`, from `moves` (n,) of
+    all unknowns; of one with a value in every flight the mean over flights."""
+    each: dict[str, list[float]] = {problem.unknowns[i].name: [] for i in keep}
+    for u, move in zip(problem.unknowns, moves.tolist(), strict=True):
+        if u.name in each:
+            each[u.name].append(move)
+    return {n: float(np.mean(v)) for n, v in each.items()}
 
 
 def _gappy(problem: Problem, share: float = 0.05) -> list[str]:

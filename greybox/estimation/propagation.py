@@ -68,7 +68,7 @@ class Propagator:
         _, g, _, d = runner.linear
         self.push, self.through = g, d
         if noise is None:
-            noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
+            noise = model.noise_ahead
         self.noise = (g * noise**2) @ g.T
         self.seen = (d * noise**2) @ d.T + np.diag(model.sensor_noise**2)
         self._learned = _learned_spread(model.dynamics) if learned else None

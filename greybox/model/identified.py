@@ -65,7 +65,8 @@ class IdentifiedModel(Shown):
     `per_flight` the values of each training flight, `flight_spread` name -> (mean, standard
     deviation between flights). `covariance` belongs to `covariance_names` (shared parameters).
     `considered`: of parameters that were held although they are not exact, name -> (standard error,
-    how far each of the shared estimates moves per unit); `covariance` includes what that does.
+    how far each estimate moves per unit, per-flight ones on average); `covariance` includes what
+    that does, `flight_spread` does not.
     `process_noise` (n_w) and `sensor_noise` (n_e) are standard deviations per sample of
     `sample_time` seconds. `domain` maps channels to the (min, max) seen in training. `weak` (n_d)
     are the standard deviations of the pseudo-measurement that keeps undetectable states finite.
@@ -177,6 +178,11 @@ class IdentifiedModel(Shown):
         square = np.diag([sigma**2 for sigma, _ in held.values()])
         cross = moves.reshape(len(names), len(held)) @ square
         return (*names, *held), np.block([[self.covariance, cross], [cross.T, square]])
+
+    @property
+    def noise_ahead(self) -> FloatArray:
+        """Process noise (n_w) where nothing is measured any more: `horizon_noise`, where there is one."""
+        return self.process_noise if self.horizon_noise is None else self.horizon_noise
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> FloatArray:
         """p (n_p) in the order of the model, with `changes` applied. Raises `UnknownNameError`."""
@@ -443,10 +449,16 @@ def _check(model: IdentifiedModel) -> None:
         model.values[name]
     if len(set(model.covariance_names)) < len(model.covariance_names):
         raise ValueError("a name is twice in the covariance")
-    if doubled := set(model.considered) & set(model.covariance_names):
+    if doubled := set(model.considered) & {*model.covariance_names, *model.flight_spread}:
         raise ValueError(f"{min(doubled)} is both held and estimated")
     errors = [x for s, by in model.considered.values() for x in (s, *by.values())]
     if not np.isfinite(errors).all():
         raise ValueError("an error of a held parameter is not finite")
+    estimated = {*model.covariance_names, *model.flight_spread}
+    for name, (sigma, by) in model.considered.items():
+        if sigma < 0:
+            raise ValueError(f"the error of {name}, which was held, is negative: {sigma:g}")
+        if strange := sorted(set(by) - estimated):
+            raise ValueError(f"{name} moves {strange[0]}, which was not estimated")
     if not all(isinstance(n, str) for n in (*model.trained_on, *model.covariance_names)):
         raise ValueError("a name is not a text")

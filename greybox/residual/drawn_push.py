@@ -146,14 +146,23 @@ def _of_process(post: GPPosterior, j: int) -> _Output:
         return ca.vertcat(kernel.covariance(support, x, ca), wave(x, ca))
 
     prior = wave(support, np)
-    # of a prior function f = a'prior, the support's own part: weights K^-1 f(support), with K^-1 = L1'L1
-    taken = prior @ post.explained[j].T @ post.explained[j]
+    # of a prior function f = a'prior, what the support says: weights A (f(support) + noise), A = L1'L1
+    first = post.explained[j]
+    taken = prior @ first.T @ first
     m, k = post.points, len(prior)
-    root = np.zeros((m + k, m + k))
+    root = np.zeros((2 * m + k, m + k))
     root[:m, :m] = post.uncertain[j]
-    root[m:, :m], root[m:, m:] = -taken, np.eye(k)
+    root[m : m + k, :m], root[m : m + k, m:] = -taken, np.eye(k)
+    root[m + k :, :m] = _noise_root(first, kernel.covariance(support, support))
     mean = np.concatenate([post.weights[:, j], np.zeros(k)])
     return _Output(place=j, features=features, mean=mean, root=np.sqrt(post.variance_factor[j]) * root)
+
+
+def _noise_root(first: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Root (m, m) of what noise at the support (covariance K) adds to the weights: A N A = A - A K A, for A = L1'L1 the
+    inverse of K + N. Zero where A = K^-1: the weights of inducing points hold the noise already."""
+    left, vectors = np.linalg.eigh(np.eye(len(first)) - first @ covariance @ first.T)
+    return np.asarray(np.sqrt(np.maximum(left, 0.0))[:, None] * (vectors.T @ first))
 
 
 def _waves(kernel: Kernel, random: np.random.Generator) -> Any:

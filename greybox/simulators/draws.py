@@ -41,6 +41,8 @@ ROUNDS = 200
 IN_MJX = ("motor_lag", "rotor_asymmetry")
 """Effects of rotors that MuJoCo's model has arrays for."""
 MOST_DRAWS = 1_000_000
+SHIFT = 0.1
+"""Distance of a mean from the identified value, over the standard deviation, above which it is said."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,14 +149,25 @@ class Draws:
             ]
         return "\n".join(lines) + "\n"
 
+    def _shift(self, name: str) -> str:
+        """In words, where the draws' mean is off by more than chance (3 standard errors) and SHIFT."""
+        v, identified = self.column(name), float(self.craft.source.values[name])
+        away = float(v.mean()) - identified
+        sigma = float(v.std())
+        if abs(away) <= max(SHIFT, 3.0 / math.sqrt(len(v))) * sigma:
+            return ""
+        side = "above" if away > 0 else "below"
+        return f", {abs(away) / sigma:.1f} sigma {side} the identified {identified:.4g}: cut to what can be"
+
     def summary(self) -> str:
-        """One line per parameter that varies."""
+        """One line per parameter that varies; with how far its mean is from the identified value,
+        where bounds of what a body can be move it."""
         lines = [f"{len(self)} draws, seed {self.seed}:"]
         for name in self.drawn:
             v = self.column(name)
             mean = float(v.mean())
             share = f" ({100 * float(v.std()) / abs(mean):.1f} %)" if mean else ""
-            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}")
+            lines.append(f"  {name:28} {mean:.4g} +- {float(v.std()):.2g}{share}{self._shift(name)}")
         lines += [*self.learned, *([self.pushes] if self.pushes else [])]
         return "\n".join(lines)
 
@@ -200,14 +213,13 @@ def draw(model: IdentifiedModel, count: int, seed: int = 0) -> Draws:
         weights = push.draw(count, np.random.default_rng([seed, 5]))
         values, names = np.hstack([values, weights]), tuple(d.name for d in push.parameters)
         learned = _learned(model.dynamics, push.spread(weights))
-    noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
     return Draws(
         craft=craft,
         names=names,
         values=values,
         drawn=drawn,
         seed=seed,
-        levels=np.tile(noise, (count, 1)),
+        levels=np.tile(model.noise_ahead, (count, 1)),
         learned=learned,
     )
 
@@ -223,12 +235,21 @@ def _uncertain(model: IdentifiedModel) -> tuple[list[str], list[str]]:
 def _joint(
     model: IdentifiedModel, shared: list[str], between: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights."""
+    """Mean (d,) and covariance (d, d): the posterior, and beside it the spread between flights; what
+    a held parameter is off by moves both."""
     known, joint = model.joint_covariance
     at = np.array([known.index(n) for n in shared], dtype=int)
     spread = [model.flight_spread[n] for n in between]
-    covariance = np.diag([0.0] * len(at) + [s**2 for _, s in spread])
+    held = [sigma for sigma, _ in model.considered.values()]
+    # how far one standard error of every held parameter moves each one; itself, by just that
+    moved = [
+        [s * (float(n == h) + by.get(n, 0.0)) for h, (s, by) in model.considered.items()]
+        for n in (*shared, *between)
+    ]
+    moves = np.array(moved).reshape(len(moved), len(held))
+    covariance = moves @ moves.T
     covariance[: len(at), : len(at)] = joint[np.ix_(at, at)]
+    covariance[len(at) :, len(at) :] += np.diag([s**2 for _, s in spread])
     mean = [*(float(model.values[n]) for n in shared), *(m for m, _ in spread)]
     return np.array(mean), covariance
 

@@ -165,6 +165,8 @@ def twin(
     covered: tuple[Covered, ...] = ()
     if drawn is not None and train is not None:
         drawn = with_push_levels(model, drawn, train, seed=seed)
+        others = [n for n in train.names if model.trained_on and n not in model.trained_on]
+        notes += [_not_of_the_fit(others, model)] if others else []
     if drawn is not None:
         files |= drawn.files()
         notes += [drawn.summary(), *drawn.notes]
@@ -182,6 +184,13 @@ def twin(
     if out is not None:
         made.save(out, force=force)
     return made
+
+
+def _not_of_the_fit(others: Sequence[str], model: IdentifiedModel) -> str:
+    return (
+        f"pushes are counted on {', '.join(others)}, but the model says that it was fitted to "
+        f"{', '.join(model.trained_on)}: give those flights as --train"
+    )
 
 
 def _counted(craft: Craft) -> str:

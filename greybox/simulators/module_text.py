@@ -58,8 +58,7 @@ def pieces(craft: Craft) -> dict[str, object]:
     hover += [craft.nominal_voltage or 1.0] * (len(dynamics.inputs) - craft.count)
     own = start_state(craft, blocks, np.array(hover))
     start[: len(own)] = own
-    noise = model.process_noise if model.horizon_noise is None else model.horizon_noise
-    level = dict(zip(model.dynamics.noises.names, noise.tolist(), strict=True))
+    level = dict(zip(model.dynamics.noises.names, model.noise_ahead.tolist(), strict=True))
     return {
         "title": craft.name,
         "dt": craft.sample_time,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import ModelError
 from greybox.estimation.considered import by_flights_alone
 from greybox.estimation.fit import fit
+from greybox.files import FileFormatError
 from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
 from greybox.model.parameter import Parameter
@@ -34,13 +37,13 @@ def cart(sigma: float = SIGMA, drag: float | None = None) -> StateSpaceModel:
     )  # fmt: skip
 
 
-def record() -> Dataset:
+def record(name: str = "run") -> Dataset:
     draw, t = np.random.default_rng(0), 0.02 * np.arange(800)
     u = np.repeat(draw.uniform(-1, 1, 40), 20)
     x = np.zeros(800)
     for k in range(799):
         x[k + 1] = np.exp(-0.02) * x[k] + (1 - np.exp(-0.02)) * 1.5 * u[k]
-    return dataset_from_arrays(t, {"u": u, "speed": x + 0.02 * draw.normal(size=800)}, name="run")
+    return dataset_from_arrays(t, {"u": u, "speed": x + 0.02 * draw.normal(size=800)}, name=name)
 
 
 CHOICES = {"predictor": "simulation", "use_compiler": False}
@@ -114,3 +117,26 @@ def test_the_model_keeps_how_well_the_ratio_is_known_and_its_file_too(tmp_path):
         assert ratio == pytest.approx(np.sqrt(slope @ joint.covariance[np.ix_(free, free)] @ slope), rel=2e-2)
         assert np.sqrt(c[at[1], at[1]]) == pytest.approx(SIGMA)
         assert np.linalg.eigvalsh(c).min() > 0
+
+
+def test_a_gain_of_every_flight_moves_with_the_mass_that_all_share(tmp_path):
+    data = Dataset(flights=(*record().flights, *record("again").flights))
+    found = fit(cart(), data, fixed=["mass"], considered=["mass"], per_flight=["gain"], **CHOICES)
+    for model in (found.model, IdentifiedModel.load(found.model.save(tmp_path / "model.json"))):
+        sigma, moves = model.considered["mass"]
+        assert sigma == SIGMA
+        assert moves["gain"] == pytest.approx(found["gain"].value / MASS, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("held", "why"),
+    [
+        ((-0.02, {"gain": 1.5}), "the error of mass, which was held, is negative: -0.02"),
+        ((0.02, {"nonsense": 3.0}), "mass moves nonsense, which was not estimated"),
+    ],
+)
+def test_a_file_whose_held_errors_mean_nothing_is_refused(tmp_path, held, why):
+    found = fit(cart(), record(), fixed=["mass"], considered=["mass"], **CHOICES).model
+    path = replace(found, considered={"mass": held}).save(tmp_path / "model.json")
+    with pytest.raises(FileFormatError, match=why):
+        IdentifiedModel.load(path)

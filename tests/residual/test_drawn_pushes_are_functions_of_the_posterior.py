@@ -18,7 +18,7 @@ from greybox.residual.hybrid import HybridModel
 from greybox.simulators.draws import draw
 from greybox.simulators.make import twin
 from scenarios.twins.written import load
-from tests.residual.hybrid_cases import CHANNELS, FEATURES, craft, craft_model, hybrid
+from tests.residual.hybrid_cases import CHANNELS, FEATURES, craft, craft_model, hybrid, pendulum_model, push
 
 PLACES = np.array([[0.0, 0.0, 0.0, 0.0], [0.5, -0.3, 0.2, 0.1], [1.0, 1.0, -1.0, 0.5], [6.0, -5.0, 4.0, 5.0]])
 
@@ -57,6 +57,26 @@ def test_at_a_support_point_a_draw_is_that_of_its_weights() -> None:
     assert (at.std(axis=1) < 1e-3 * post.output_scale).all(), "known there"
     away = np.array(function(np.full((4, 50), 5.0), weights.T))
     assert (away.std(axis=1) > 0.5 * post.output_scale).all(), "unknown there"
+
+
+def test_draws_of_an_exact_process_know_no_more_than_its_noise_lets() -> None:
+    """60 noisy samples of one number, sigma 1: as uncertain as the posterior, not as if they were exact."""
+    base = pendulum_model()
+    post = push(base.dynamics, ("rate",), ("rate",), points=4)
+    at, kernel = np.linspace(-3.0, 3.0, 60)[:, None], post.kernels[0]
+    first = np.linalg.inv(np.linalg.cholesky(kernel.covariance(at.T, at.T) + np.eye(60)))
+    weights = first.T @ first @ np.sin(at)
+    exact = replace(
+        post, method="exact", support=at, weights=weights, explained=first[None], uncertain=np.zeros((1, 60, 60))
+    )
+    drawn = DrawnPush(hybrid=HybridModel(inner=base.dynamics, posterior=exact))
+    numbers = drawn.draw(2000, np.random.default_rng(1))
+    z, w = ca.SX.sym("z"), ca.SX.sym("w", numbers.shape[1])
+    function = ca.Function("push", [z, w], [drawn._push(z, w)]).map(2000)
+    for place in (-2.0, 0.0, 2.5, 8.0):
+        found = np.array(function(np.full((1, 2000), place), numbers.T))
+        sigma = np.sqrt(exact.evaluate(np.array([[place]]))[1]).item()
+        assert found.std() == pytest.approx(sigma, rel=0.12)
 
 
 def test_draws_of_features_have_the_covariance_of_their_weights() -> None:

@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 import greybox.simulators.coverage as coverage_module
+from greybox.data import Dataset
 from greybox.errors import DataError
 from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
+from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
 from greybox.simulators.coverage import Covered, coverage, format_table
-from greybox.simulators.draws import draw
+from greybox.simulators.craft import Craft
+from greybox.simulators.draws import Draws, draw
+from greybox.simulators.make import twin
 from greybox.simulators.push_levels import with_push_levels
+from greybox.symbolic import FloatArray
 from tests import simulated
 
 NAMES = ("thrust.c2", "inertia.xx", "inertia.yy", "inertia.zz")
@@ -76,6 +81,69 @@ def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPa
     shares = [[r[g, h].share for g in ("velocity", "rate") for h in (0.5, 1.0)] for r in (before, after)]
     assert np.mean(shares[1]) > np.mean(shares[0]) + 0.1
     assert np.mean(shares[1]) > 0.85
+
+
+def factors(m: IdentifiedModel, flights: Dataset, seed: int) -> FloatArray:
+    """Median level of every noise over that of the filter."""
+    counted = with_push_levels(m, few_draws(), flights, seed=seed)
+    return np.asarray(np.median(counted.levels, axis=0) / m.process_noise)
+
+
+@functools.cache
+def few_draws() -> Draws:
+    return draw(model(), 24, seed=1)
+
+
+def test_push_levels_follow_the_flights_and_not_the_seed() -> None:
+    """Pushes of force at the filter's level move this craft by a thousandth of its error: nothing tells of them."""
+    m, flights = model(), simulated.flights(2, 9.0, first_seed=60)
+    one, two = (factors(m, flights, seed) for seed in (1, 2))
+    names = m.dynamics.noises.names
+    for i in (names.index("torque.x"), names.index("torque.y")):
+        assert one[i] > 2.0
+        assert two[i] == pytest.approx(one[i], rel=0.3)
+    for found in (one, two):
+        assert found[names.index("force.x")] == pytest.approx(1.0, abs=0.4)
+        assert found[names.index("force.z")] == pytest.approx(1.0, abs=0.4)
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> None:
+    flights = list(simulated.flights(3, 7.0, first_seed=60))
+    blind = {"vx", "vy", "vz"}
+    flights[place] = replace(
+        flights[place],
+        segments=tuple(
+            replace(s, channels={k: v for k, v in s.channels.items() if k not in blind}) for s in flights[place].segments
+        ),
+    )
+    found = with_push_levels(model(), few_draws(), Dataset(flights=tuple(flights)), seed=1)
+    assert "counted on 3 flights" in found.pushes
+
+
+def test_every_file_has_the_level_of_pushes_ahead() -> None:
+    """A model with calibrated levels: words, simulate.py and draws say these, not those of one step ahead."""
+    m = model()
+    whole = with_disturbance(m.dynamics, ["force"], time=0.5)
+    values = ParameterValues({d.name: d.nominal for d in whole.parameters}).replace(dict(m.values))
+    m = replace(
+        m, dynamics=whole, values=values, process_noise=whole.noise_scale(0.01), weak=np.full(len(whole.error_states), 1e3),
+        reference_state=whole.reference({}),
+    )  # fmt: skip
+    calibrated = replace(m, horizon_noise=3.0 * m.process_noise)
+    said = [Craft.of(one).pushes for one in (m, replace(m, process_noise=3.0 * m.process_noise), calibrated)]
+    assert "unexplained force" in said[0] and said[0] != said[1] == said[2]
+    draws = draw(calibrated, 20, seed=1)
+    np.testing.assert_array_equal(draws.levels[0], calibrated.noise_ahead)
+    np.testing.assert_array_equal(coverage_module.module_of(calibrated, draws)["NOISE"], calibrated.noise_ahead)
+
+
+def test_pushes_that_are_counted_on_flights_of_no_fit_are_said() -> None:
+    flights = simulated.flights(1, 7.0, first_seed=60)
+    (name,) = flights.names
+    for trained_on, said in (((name,), False), ((), False), (("morning",), True)):
+        notes = twin(replace(model(), trained_on=trained_on), ["numpy"], draws=20, train=flights).notes
+        assert (f"pushes are counted on {name}, but the model says that it was fitted to morning" in str(notes)) is said
 
 
 def test_too_short_flights_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
