@@ -58,6 +58,14 @@ def test_the_fit_is_judged_on_the_test_record_and_comes_back_by_load(bench: Path
     assert isinstance(model, IdentifiedModel) and model.name == "tank"
 
 
+def test_flight_review_is_refused_a_tank_in_one_line_before_any_work(bench: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["validate", f"{bench}/fit/model.json", "--log", f"{bench}/none_such.csv", "--ulog", f"{bench}/b.ulg"]
+    assert main(words) == 2
+    said = capsys.readouterr().err.strip()
+    assert "Flight Review draws none of this model's outputs" in said and "level" in said
+    assert len(said.splitlines()) == 1 and not (bench / "b.ulg").exists()
+
+
 def test_profiles_give_intervals_with_the_truth_inside(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = ["profile", f"{bench}/fit/model.json", "--train", f"{bench}/a.csv", "--of", "leak,gain", "--out", f"{bench}/p"]
     assert main(model) == 0
