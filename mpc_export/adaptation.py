@@ -149,15 +149,25 @@ def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) ->
 
 
 def authority(model: IdentifiedModel) -> dict[str, float]:
-    """State -> largest size [N, N m] of a disturbance force or torque that the rotors could hold against."""
+    """State -> largest size of a disturbance: of a force [N] all thrust, of a torque [N m] about the centre of mass the
+    most that rotors make about that axis, each somewhere in the range of its command.
+    """
     physics = physics_of(model.dynamics)
     if physics is None:
         return {}
-    thrust, torque = (sum(model.values[f"{kind}.c{k}"] for k in range(3)) for kind in ("thrust", "torque"))
-    places = np.array([r.position for r in physics.vehicle.rotors], dtype=float)
-    force, about = len(places) * thrust, np.abs(places).sum(axis=0) * thrust
-    most = {f"force.{a}": force for a in "xyz"}
-    most |= {"torque.x": about[1], "torque.y": about[0], "torque.z": len(places) * abs(torque)}
+    vehicle, values = physics.vehicle, model.values
+    ends = (vehicle.actuator.u_min, vehicle.actuator.u_max)
+    thrust, torque = (
+        np.array([sum(values[f"{kind}.c{k}"] * u**k for k in range(3)) for u in ends]) for kind in ("thrust", "torque")
+    )
+    center = [values[f"center_of_mass.{a}"] for a in "xyz"]
+    arms = np.array([r.position for r in vehicle.rotors], dtype=float) - center
+    most = {f"force.{a}": len(arms) * thrust.max() for a in "xyz"}
+    for axis, levers, each in (
+        ("x", arms[:, 1], thrust), ("y", -arms[:, 0], thrust), ("z", [-r.spin for r in vehicle.rotors], torque)
+    ):  # fmt: skip
+        either = np.outer(levers, each)
+        most[f"torque.{axis}"] = max(either.max(axis=1).sum(), -either.min(axis=1).sum())
     return {f"disturbance.{n}": float(v) for n, v in most.items() if v > 0}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,10 @@ from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.record import make_record
 from greybox.model.noise import with_disturbance
+from greybox.model.parameter import ParameterValues
 from greybox.residual.hybrid import HybridModel
 from greybox.validation.adapt import adapt_to_flight
+from mpc_export.adaptation import authority
 from mpc_export.bundle import write_bundle
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
@@ -192,6 +195,29 @@ def test_the_self_test_of_an_adaptive_bundle_passes(tmp_path, real):
     compiled.needs_compiler()
     bundle = write_bundle(craft(), tmp_path / "own", real=real, targets=("c",), with_=("adapt",), use_cache=False)
     assert verify([str(bundle.folder)]) == 0
+
+
+def test_a_torque_is_bounded_by_what_the_mixer_makes_of_full_and_idle_rotors():
+    own = craft()
+    vehicle = own.physics.vehicle
+    values = {**own.values, "thrust.c0": 0.01, "thrust.c1": 0.02, "thrust.c2": 0.1, "center_of_mass.x": 0.004}
+    actuator = replace(vehicle.actuator, u_min=0.1, u_max=0.8)
+    limited = replace(
+        own, values=ParameterValues(values),
+        dynamics=replace(own.dynamics, vehicle=replace(vehicle, actuator=actuator)),
+    )  # fmt: skip
+    limits = authority(limited)
+    most = {"x": 0.0, "y": 0.0, "z": 0.0}
+    for commands in itertools.product((0.1, 0.8), repeat=4):
+        total = np.zeros(3)
+        for u, rotor in zip(commands, vehicle.rotors, strict=True):
+            arm = np.array(rotor.position) - [0.004, values["center_of_mass.y"], values["center_of_mass.z"]]
+            total += np.cross(arm, [0.0, 0.0, 0.01 + 0.02 * u + 0.1 * u**2])
+            total[2] -= rotor.spin * sum(values[f"torque.c{k}"] * u**k for k in range(3))
+        most = {a: max(m, abs(t)) for (a, m), t in zip(most.items(), total, strict=True)}
+    for axis, value in most.items():
+        assert limits[f"disturbance.torque.{axis}"] == pytest.approx(value)
+    assert limits["disturbance.force.z"] == pytest.approx(4 * (0.01 + 0.02 * 0.8 + 0.1 * 0.64))
 
 
 def test_what_cannot_adapt_is_refused_in_one_line():
