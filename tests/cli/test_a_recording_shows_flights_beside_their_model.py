@@ -14,22 +14,16 @@ import numpy as np
 import pytest
 
 from greybox.cli import main
-from greybox.commands.ulog_out import write_ulog
-from greybox.data import Segment
 from greybox.data.logs import read_logs
 from greybox.data.readers.protobuf import decode, described
 from greybox.excitation.hover import Hover
 from greybox.excitation.injection import rich_excitation
-from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
-from greybox.model.parameter import Parameter, ParameterValues
 from greybox.plants.flight_log import fly, member, write_log
 from greybox.plants.presets import controller_for
 from greybox.plants.vehicle_file import write_vehicle
-from greybox.symbolic import Layout, Signal
 from scenarios.studies.recovery import plant
 from tests.data.readers.writers import px4_attitude
-from tests.validation.test_validate_judges_causally import dataset
 
 pytestmark = [
     pytest.mark.slow,
@@ -208,23 +202,3 @@ def test_flight_review_gets_attitude_rate_and_place_as_px4_would_log_them(run: P
     assert main(["inspect", str(target)]) == 2
     assert "predictions of a model" in capsys.readouterr().err
     assert main([*words, "--ulog", str(run / "b.csv")]) == 2
-
-
-def test_a_spinning_body_without_numbered_commands_has_rates_and_no_motors(tmp_path: Path):
-    pyulog = pytest.importorskip("pyulog")
-    rates = Layout([Signal(name=n, unit="rad/s") for n in "pqr"])
-    dynamics = StateSpaceModel(
-        name="top", states=rates, outputs=rates, inputs=Layout([Signal(name="push", unit="rad/s^2")]),
-        parameters=(Parameter(name="drag", unit="1/s", nominal=0.5, scale=0.1),),
-        dynamics=lambda t, x, u, p: [u[0] - p["drag"] * x[i] for i in range(3)],
-        measurement=lambda t, x, u, p: [x[i] for i in range(3)], noise_states=("p", "q", "r"),
-    )  # fmt: skip
-    model = IdentifiedModel(
-        dynamics=dynamics, values=ParameterValues({"drag": 0.5}), process_noise=np.ones(3), sensor_noise=np.full(3, 0.1),
-        weak=np.full(3, 1e4), reference_state=np.zeros(3), reference_inputs=np.zeros(1), sample_time=0.01,
-        flight_spread={}, per_flight={},
-    )  # fmt: skip
-    channels = {n: np.sin(0.01 * np.arange(200) + i) for i, n in enumerate(("p", "q", "r", "push"))}
-    write_ulog(tmp_path / "top.ulg", model, dataset(Segment(t=0.01 * np.arange(200), channels=channels, flight="f")))
-    topics = {d.name for d in pyulog.ULog(str(tmp_path / "top.ulg")).data_list}
-    assert topics == {"vehicle_angular_velocity", "vehicle_angular_velocity_groundtruth"}
