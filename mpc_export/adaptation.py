@@ -1,23 +1,22 @@
 """adapt_step: the identified filter that learns the flight's own parameters, and on request the learned weights, in flight.
 
-    psi = C G + H,   Z = S + psi V psi',   d = V psi' Z^-1 e                 what the innovation says of theta
-    theta+ = bounded(theta + d),   x~ = x boxplus G (theta+ - theta)
-    x_next = f_d(x~, u, theta+) boxplus K (e - psi (theta+ - theta))
-    G_next = A G + P - K psi,   V_next = V - V psi' Z^-1 psi V
+    psi = [H, C],   Z = S + psi V psi',   d = V psi' Z^-1 e,   V+ = V - V psi' Z^-1 psi V          the innovation's word
+    theta+ = bounded(theta + d_theta),   x~ = x boxplus d_x
+    x_next = f_d(x~, u, theta+) boxplus K (e - H (theta+ - theta) - C d_x)
+    F = [[k, 0], [P - K H, A - K C]],   V_next = F V+ F' + (1 - k^2) V_0 for theta,   k = exp(-dt / memory)
 
-G (n_d, n_a) is how the predicted state depends on theta, V (n_a, n_a) the covariance of theta. For constant theta and a
-filter that has settled this is the Kalman filter of state and parameters in two parts (Friedland 1969, IEEE
-Transactions on Automatic Control 14(4)), and the recursive form of the batch estimate in innovation form (Ljung 1999,
-System Identification, section 11.4). It costs the size of G, not that of the joint covariance.
+V (n_a, n_a) is the joint covariance of theta and of the error of the state beyond that of the settled filter, whose gain
+K and innovation covariance S are constants. For a linear model this is the Kalman filter of state and parameters
+together, written for what exceeds the settled covariance. For constant theta it is the recursive form of the batch
+estimate in innovation form (Ljung 1999, System Identification, section 11.4).
 
-The start of the flight is not known as well as a settled filter knows its state. What it is off by, d_0 (start.* of the
-error states, where the start is less certain), is estimated with theta and fades with the columns of G, whose first
-value is `start`.
+The start of the flight is not known as well as a settled filter knows its state: V begins with what is missing there.
 
 Forgetting: theta is a Gauss-Markov process whose stationary mean and spread are those of the training flights. After
-`memory` seconds without information theta is back at 1/e of its distance from the mean; V never exceeds the spread from
-flight to flight, however long nothing is learned. memory = 0: theta is constant, as in the fit. The discrepancy is a
-state of the model (disturbance.*): it forgets by its own identified time.
+`memory` seconds without information theta is back at 1/e of its distance from the mean; its variance never exceeds that
+from flight to flight, however long nothing is learned. What theta becomes has not been felt by the state yet, which is
+why the covariance of both is carried, not a sensitivity. memory = 0: theta is constant, as in the fit. The discrepancy
+is a state of the model (disturbance.*): it forgets by its own identified time.
 """
 
 from __future__ import annotations
@@ -46,26 +45,23 @@ STEADY = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adapted:
-    """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in p, then the error of
-    the start; the `mean` (n_t) of theta over the training flights, the `covariance` (n_a, n_a) before the flight (between
-    flights; of learned weights their posterior's; of the start beyond that of the filter), and bounds (n_t,).
+    """What adapt_step adapts: `names` (n_a), first those of theta with their places `rows` (n_t) in p, then error.* of the
+    states (n_d); the `mean` (n_t) of theta over the training flights, the `covariance` (n_a, n_a) before the flight
+    (between flights; of learned weights their posterior's; of the start beyond that of the filter), and bounds (n_t,).
 
-    `start` (n_d, n_a) is the first G. `limits` maps states that are bounded too, to their largest size.
+    `limits` maps states that are bounded too, to their largest size.
     """
 
     names: tuple[str, ...] = ()
     rows: tuple[int, ...] = ()
     mean: FloatArray
-    start: FloatArray
     covariance: FloatArray
     lower: FloatArray
     upper: FloatArray
     limits: Mapping[str, float]
 
 
-NOTHING = Adapted(
-    mean=np.zeros(0), start=np.zeros((0, 0)), covariance=np.zeros((0, 0)), lower=np.zeros(0), upper=np.zeros(0), limits={},
-)  # fmt: skip
+NOTHING = Adapted(mean=np.zeros(0), covariance=np.zeros((0, 0)), lower=np.zeros(0), upper=np.zeros(0), limits={})
 
 
 def flight_parameters(model: Any) -> tuple[str, ...]:
@@ -80,12 +76,12 @@ def flight_parameters(model: Any) -> tuple[str, ...]:
 
 def adapted(
     model: IdentifiedModel, p: Layout, values: FloatArray, weights: GPPosterior | FeaturePosterior | None,
-    filtered: FloatArray,
+    error_states: Layout, filtered: FloatArray,
 ) -> Adapted:  # fmt: skip
     """All of p that is adapted: per-flight parameters, and the `weights` of the learned outputs where they are in p.
 
-    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled filter. Raises
-    `ModelError` where nothing is adapted.
+    `values` (n_p,) are the identified ones, `filtered` (n_d, n_d) is the covariance of the settled filter, `error_states`
+    (n_d) are its rows. Raises `ModelError` where nothing is adapted.
     """
     names = list(flight_parameters(model))
     declared = {d.name: d for d in model.dynamics.parameters}
@@ -109,14 +105,13 @@ def adapted(
         )
     extra = len(names) - len(low)
     rows = tuple(p[n] for n in names)
-    unknown = start_excess(model, np.diag(filtered))
-    errors = np.flatnonzero(unknown)
-    names += [f"start.{model.dynamics.error_states.names[i].removeprefix('d_')}" for i in errors]
-    start = np.zeros((len(filtered), len(names)))
-    start[errors, range(len(rows), len(names))] = 1.0
+    names += [f"error.{n.removeprefix('d_')}" for n in error_states.names]
+    unknown = np.zeros(len(error_states))
+    own = start_excess(model, np.diag(filtered))
+    unknown[: len(own)] = own
     return Adapted(
-        names=tuple(names), rows=rows, mean=values[list(rows)], start=start,
-        covariance=scipy.linalg.block_diag(*covariance, np.diag(unknown[errors])),
+        names=tuple(names), rows=rows, mean=values[list(rows)],
+        covariance=scipy.linalg.block_diag(*covariance, np.diag(unknown)),
         lower=np.array([*low, *[-UNBOUNDED] * extra]), upper=np.array([*high, *[UNBOUNDED] * extra]),
         limits=authority(model),
     )  # fmt: skip
@@ -149,63 +144,74 @@ def weight_covariance(posterior: GPPosterior | FeaturePosterior, output: int) ->
 
 
 def authority(model: IdentifiedModel) -> dict[str, float]:
-    """State -> largest size [N, N m] of a disturbance force or torque that the rotors could hold against."""
+    """State -> largest size of a disturbance: of a force [N] all thrust, of a torque [N m] about the centre of mass the
+    most that rotors make about that axis, each somewhere in the range of its command.
+    """
     physics = physics_of(model.dynamics)
     if physics is None:
         return {}
-    thrust, torque = (sum(model.values[f"{kind}.c{k}"] for k in range(3)) for kind in ("thrust", "torque"))
-    places = np.array([r.position for r in physics.vehicle.rotors], dtype=float)
-    force, about = len(places) * thrust, np.abs(places).sum(axis=0) * thrust
-    most = {f"force.{a}": force for a in "xyz"}
-    most |= {"torque.x": about[1], "torque.y": about[0], "torque.z": len(places) * abs(torque)}
+    vehicle, values = physics.vehicle, model.values
+    ends = (vehicle.actuator.u_min, vehicle.actuator.u_max)
+    thrust, torque = (
+        np.array([sum(values[f"{kind}.c{k}"] * u**k for k in range(3)) for u in ends]) for kind in ("thrust", "torque")
+    )
+    center = [values[f"center_of_mass.{a}"] for a in "xyz"]
+    arms = np.array([r.position for r in vehicle.rotors], dtype=float) - center
+    most = {f"force.{a}": len(arms) * thrust.max() for a in "xyz"}
+    for axis, levers, each in (
+        ("x", arms[:, 1], thrust), ("y", -arms[:, 0], thrust), ("z", [-r.spin for r in vehicle.rotors], torque)
+    ):  # fmt: skip
+        either = np.outer(levers, each)
+        most[f"torque.{axis}"] = max(either.max(axis=1).sum(), -either.min(axis=1).sum())
     return {f"disturbance.{n}": float(v) for n, v in most.items() if v > 0}
 
 
 def adapt_function(functions: Mapping[str, Any], innovation: Any, own: Adapted, states: Layout, dt: float) -> Any:
-    """adapt_step(x, u, p, y, there, G, V, memory) -> x_next, p_next, G_next, V_next, e, y_hat.
+    """adapt_step(x, u, p, y, there, V, memory) -> x_next, p_next, V_next, e, y_hat.
 
     `innovation` maps (y, y_hat, x) to e. `p_next` differs from p in what is adapted.
     """
-    n_a, n_t, n_d = len(own.names), len(own.rows), functions["f_d_jac"].size1_out("A")
+    n_a, n_t = len(own.names), len(own.rows)
     n_y, n_e = innovation.numel_in(0), innovation.numel_out(0)
     x, u, p = (ca.MX.sym(n, functions["f_d"].numel_in(n)) for n in ("x", "u", "p"))
     y, there, memory = ca.MX.sym("y", n_y), ca.MX.sym("there", n_e), ca.MX.sym("memory")
-    g, v = ca.MX.sym("G", n_d, n_a), ca.MX.sym("V", n_a, n_a)
+    v = ca.MX.sym("V", n_a, n_a)
     rows = list(own.rows)
     seen, c, _, h = functions["h_jac"](x, u, p)
     gain, spread = functions["innovation_gain"](there)
     found = innovation(y, seen, x)
     on = ca.if_else(there != 0, 1.0, 0.0)
     e = ca.if_else(there != 0, found, 0.0)
-    psi = ca.repmat(on, 1, n_a) * (c @ g + _widened(h[:, rows], n_a))
+    psi = ca.repmat(on, 1, n_a) * ca.horzcat(h[:, rows], c)
     through = psi @ v
     scaled = _whitened(n_e, n_a)(spread + through @ psi.T, ca.horzcat(through, e))
     across, left = scaled[:, :n_a], scaled[:, n_a]
     said = across.T @ left
+    left_over = v - across.T @ across
+    for i in np.flatnonzero((own.lower > -UNBOUNDED) | (own.upper < UNBOUNDED)).tolist():
+        # What a bound takes from one parameter, the others are told: their mean, given the bound.
+        there_is = p[rows[i]] + said[i]
+        short = _between(there_is, own.lower[i : i + 1], own.upper[i : i + 1]) - there_is
+        said += left_over[:, i] * (short / ca.fmax(left_over[i, i], 1 / UNBOUNDED))
     theta = _between(p[rows] + said[:n_t], own.lower, own.upper)
     moved = ca.vertcat(theta - p[rows], said[n_t:])
     # After the measurement, before time goes on.
-    at = functions["boxplus"](x, g @ moved)
+    at = functions["boxplus"](x, said[n_t:])
     q = ca.MX(p)
     q[rows] = theta
     after, a, _, by = functions["f_d_jac"](at, u, q)
     after = functions["boxplus"](after, gain @ (e - psi @ moved))
     keep = ca.if_else(memory > 0, ca.exp(-dt / ca.fmax(memory, 1e-12)), 1.0)
     q[rows] = own.mean + keep * (theta - own.mean)
-    # What the start was off by is no process: it is not drawn anew.
-    each = ca.vertcat(ca.repmat(keep, n_t, 1), ca.DM.ones(n_a - n_t, 1))
-    v_next = (each @ each.T) * (v - across.T @ across) + ca.diag(1 - each**2) @ ca.DM(own.covariance)
-    g_next = a @ g + _widened(by[:, rows], n_a) - gain @ psi
-    results = [_limited(after, own, states), q, g_next, v_next, found, seen]
+    on_step = ca.vertcat(keep * ca.MX(ca.DM(np.eye(n_t, n_a))), ca.horzcat(by[:, rows], a) - gain @ psi)
+    v_next = on_step @ left_over @ on_step.T
+    v_next[:n_t, :n_t] += (1 - keep**2) * ca.DM(own.covariance[:n_t, :n_t])
+    # Rounding must not grow into two covariances of the same pair.
+    results = [_limited(after, own, states), q, 0.5 * (v_next + v_next.T), found, seen]
     return ca.Function(
-        "adapt_step", [x, u, p, y, there, g, v, memory], [ca.densify(r) for r in results],
-        ["x", "u", "p", "y", "there", "G", "V", "memory"], ["x_next", "p_next", "G_next", "V_next", "e", "y_hat"],
+        "adapt_step", [x, u, p, y, there, v, memory], [ca.densify(r) for r in results],
+        ["x", "u", "p", "y", "there", "V", "memory"], ["x_next", "p_next", "V_next", "e", "y_hat"],
     )  # fmt: skip
-
-
-def _widened(columns: Expr, n: int) -> Expr:
-    """The columns, and zeros up to n of them."""
-    return ca.horzcat(columns, ca.MX(columns.shape[0], n - columns.shape[1]))
 
 
 def _whitened(n: int, m: int) -> Any:

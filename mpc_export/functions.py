@@ -21,7 +21,7 @@
 | P_theta | x u p -> derivative of x_next in the uncertain parameters (n_d, n_theta); with "covariance" |
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
-| adapt_step | x u p y there G V memory -> x_next, p_next, G_next, V_next, e, y_hat: the filter that adapts (adaptation.py) |
+| adapt_step | x u p y there V memory -> x_next, p_next, V_next, e, y_hat: the filter that adapts (adaptation.py) |
 | output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
@@ -610,8 +610,9 @@ class _Builder:
         assert isinstance(self.model, IdentifiedModel)
         learned = self.posterior if isinstance(self.posterior, (GPPosterior, FeaturePosterior)) else None
         own = adapted(
-            self.model, self.parameters, values, learned if self.weights else None, self.noise.covariance
-        )
+            self.model, self.parameters, values, learned if self.weights else None, self.sampled.error_states,
+            self.noise.covariance,
+        )  # fmt: skip
         self.functions["adapt_step"] = adapt_function(
             self.functions, self._innovation, own, self.sampled.states, self.dt
         )

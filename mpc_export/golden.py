@@ -96,7 +96,12 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
     root = deviation[:, None] * mix * (1 + spread)
     theta = np.sqrt(np.maximum(np.diag(functions.covariance), 1e-30))
     target = rng.standard_normal(n["n_r"]) * min(spread, 1.0)
-    between = np.sqrt(np.diag(functions.adapted.covariance))
+    own = functions.adapted
+    felt = np.eye(n["n_a"])
+    if n["n_a"]:
+        between = np.sqrt(np.diag(own.covariance))[: len(own.rows)]
+        slopes = rng.standard_normal((n["n_d"], len(own.rows))) / np.maximum(between, 1e-30)
+        felt[len(own.rows) :, : len(own.rows)] = deviation[:, None] * slopes
     return {
         "x": x, "u": u, "p": p, "z": z,
         "x2": np.asarray(boxplus(x, 0.1 * size * rng.standard_normal(n["n_d"]))).ravel(),
@@ -107,8 +112,7 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
         "K": 0.1 * command[:, None] / size[None, :] * rng.standard_normal((n["n_u"], n["n_d"])),
         "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
         "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
-        "G": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_a"])) / np.maximum(between, 1e-30),
-        "V": functions.adapted.covariance * min(1.0, 0.2 + spread), "memory": np.array([30.0 * spread]),
+        "V": felt @ own.covariance @ felt.T * min(1.0, 0.2 + spread), "memory": np.array([30.0 * spread]),
         "lam": rng.standard_normal(n["n_x"]) / scale,
         "r": target,
     }  # fmt: skip

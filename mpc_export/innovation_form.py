@@ -495,12 +495,12 @@ class BaseForm(InnovationForm):
     def boxplus(self, x: Expr, d: Expr) -> Expr:
         """On the chart of the model, by addition elsewhere."""
         n, m = len(self.sampled.states), len(self.sampled.error_states)
-        return ca.vertcat(self.sampled.boxplus(x[:n], d[:m]), x[n:] + d[m:])
+        return ca.vertcat(self.sampled.boxplus(x[:n], d[:m]), x[n:, :] + d[m:, :])
 
     def boxminus(self, x2: Expr, x1: Expr) -> Expr:
         """Inverse of `boxplus`."""
         n = len(self.sampled.states)
-        return ca.vertcat(self.sampled.boxminus(x2[:n], x1[:n]), x2[n:] - x1[n:])
+        return ca.vertcat(self.sampled.boxminus(x2[:n], x1[:n]), x2[n:, :] - x1[n:, :])
 
     def check(self) -> None:
         """Raises `ModelError` for what has no form: commands that run linearly between samples."""

@@ -67,7 +67,7 @@ def manifest_of(
         "flight_spread": {k: list(v) for k, v in model.flight_spread.items()} if isinstance(model, IdentifiedModel) else {},
         "covariance": {"names": list(f.covariance_names), "matrix": f.covariance},
         "adapted": {
-            "names": list(f.adapted.names), "covariance": f.adapted.covariance, "start": f.adapted.start,
+            "names": list(f.adapted.names), "covariance": f.adapted.covariance,
             "lower": f.adapted.lower, "upper": f.adapted.upper, "state_limits": dict(f.adapted.limits),
         },
         "noise": {

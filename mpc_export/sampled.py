@@ -207,13 +207,14 @@ class Sampled:
 
     def boxplus(self, x: Expr, d: Expr) -> Expr:
         """X moved by an error state (n_d)."""
+        # Of a scalar CasADi's [1:] is a row, and a sum of rows fills up with a zero: rows are asked for by name.
         n, m = len(self.dynamics.states), len(self.dynamics.error_states)
-        return ca.vertcat(self.dynamics.boxplus(x[:n], d[:m]), x[n:] + d[m:])
+        return ca.vertcat(self.dynamics.boxplus(x[:n], d[:m]), x[n:, :] + d[m:, :])
 
     def boxminus(self, x2: Expr, x1: Expr) -> Expr:
         """The error state that carries x1 into x2."""
         n = len(self.dynamics.states)
-        return ca.vertcat(self.dynamics.boxminus(x2[:n], x1[:n]), x2[n:] - x1[n:])
+        return ca.vertcat(self.dynamics.boxminus(x2[:n], x1[:n]), x2[n:, :] - x1[n:, :])
 
     def chart(self, x: Expr, z: Expr) -> tuple[Expr, Expr]:
         """(d boxplus(x, d)/dd at d = 0 (n_x, n_d), d boxminus(z', z)/dz' at z' = z (n_d, n_x))."""

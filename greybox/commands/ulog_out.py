@@ -21,6 +21,7 @@ from greybox.data.channel import command_names, group_names
 from greybox.data.readers.assemble import other_frame
 from greybox.data.readers.ulog import OURS
 from greybox.distribution import VERSION
+from greybox.errors import DataError
 from greybox.estimation.filtering import Filter
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
@@ -110,12 +111,24 @@ def write_ulog(path: str | Path, model: Any, dataset: Dataset, *, adapted: Mappi
             _curves(out, "", names, times, ahead)
             _curves(out, "_groundtruth", names, times, found.record.outputs)
             commands = command_names(segment.names)
-            out.rows("actuator_motors", times, {"control": np.column_stack([segment.channels[n] for n in commands])})
+            if commands:
+                motors = np.column_stack([segment.channels[n] for n in commands])
+                out.rows("actuator_motors", times, {"control": motors})
             clock = float(times[-1]) + PAUSE
     rotors = len(command_names(dataset.channels))
     if rotors in MAV_TYPES:
         out.parameter("MAV_TYPE", MAV_TYPES[rotors])
     write_atomic(path, bytes(out))
+
+
+def need_topic(model: Any) -> None:
+    """Raises `DataError` where Flight Review has no topic for any output of a model: before any work."""
+    names = model.dynamics.outputs.names
+    if not any(set(group_names(g)) <= set(names) for g in _TOPICS):
+        raise DataError(
+            "--ulog: Flight Review draws none of this model's outputs",
+            expected=f"all channels of one of {', '.join(_TOPICS)}", got=", ".join(names), fix="leave --ulog out",
+        )  # fmt: skip
 
 
 def _curves(out: ULog, suffix: str, names: Sequence[str], times: FloatArray, values: FloatArray) -> None:

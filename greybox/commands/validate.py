@@ -52,12 +52,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
     need_mcap(arguments.mcap)
     need_ulog(arguments.ulog)
+    from greybox.commands.ulog_out import need_topic, write_ulog
     from greybox.files import dump_json, write_json
     from greybox.model.layer import physics_of
     from greybox.progress import TimeLeft
     from greybox.validation.validate import validate
 
     model = loaded(arguments)
+    if arguments.ulog is not None:
+        need_topic(model)
     horizons = given_horizons(arguments, own=physics_of(model.dynamics) is None)
     dataset = read_flights_of(
         arguments,
@@ -79,8 +82,6 @@ def run(arguments: argparse.Namespace) -> int:
     adapted = (result.to_dict().get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, model, dataset, adapted=adapted)
     if arguments.ulog is not None:
-        from greybox.commands.ulog_out import write_ulog
-
         write_ulog(arguments.ulog, model, dataset, adapted=adapted)
     if arguments.json == "-":
         sys.stdout.write(dump_json(result.to_dict()))

@@ -44,7 +44,7 @@ class InFlight:
         self.last: list[list[float]] = []
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """x, u, p, y, there, G, V, memory -> x_next, p_next, G_next, V_next, e, y_hat."""
+        """x, u, p, y, there, V, memory -> x_next, p_next, V_next, e, y_hat."""
         self.last = [np.ravel(a, order="F").tolist() for a in arguments]
         found = self.library.call(self.entry, self.last)
         shapes = [(r["rows"], r["columns"]) for r in self.entry["results"]]
@@ -74,13 +74,13 @@ def flown(step: InFlight, bundle: ExportBundle, record: Record, memory: float) -
     for i, name in enumerate(f.states.names[len(record.x0) :], len(record.x0)):
         x[i] = u[0, f.inputs[name.split(".")[1]]]
     p = f.parameter_values.copy()
-    g, v = f.adapted.start.copy(), f.adapted.covariance.copy()
+    v = f.adapted.covariance.copy()
     known = {f.parameters[n]: segment.channels[n] for n in f.sampled.exogenous}
     for k in range(record.n):
         for row, column in known.items():
             p[row] = column[k] if np.isfinite(column[k]) else p[row]
         y, there = np.nan_to_num(record.outputs[k]), (record.mask[k] != 0).astype(float)
-        x, p, g, v = step(x, u[k], p, y, there, g, v, np.array([memory]))[:4]
+        x, p, v = step(x, u[k], p, y, there, v, np.array([memory]))[:3]
         x, p = x.ravel(), p.ravel()
     return p[list(f.adapted.rows)], np.sqrt(np.diag(v))[: len(f.adapted.rows)]
 

@@ -10,8 +10,14 @@ import pytest
 
 import greybox as gb
 from greybox.cli import main
+from greybox.commands.ulog_out import write_ulog
+from greybox.data import Segment
+from greybox.model.dynamics import StateSpaceModel
 from greybox.model.identified import IdentifiedModel
+from greybox.model.parameter import Parameter, ParameterValues
+from greybox.symbolic import Layout, Signal
 from tests.one_run import results_of_one_run
+from tests.validation.test_validate_judges_causally import dataset
 
 PROGRAM = """
 import greybox as gb
@@ -56,6 +62,34 @@ def test_the_fit_is_judged_on_the_test_record_and_comes_back_by_load(bench: Path
     assert (bench / "fit" / "report.html").read_text().count("level") > 3
     model = gb.load(bench / "fit" / "model.json")
     assert isinstance(model, IdentifiedModel) and model.name == "tank"
+
+
+def test_flight_review_is_refused_a_tank_in_one_line_before_any_work(bench: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["validate", f"{bench}/fit/model.json", "--log", f"{bench}/none_such.csv", "--ulog", f"{bench}/b.ulg"]
+    assert main(words) == 2
+    said = capsys.readouterr().err.strip()
+    assert "Flight Review draws none of this model's outputs" in said and "level" in said
+    assert len(said.splitlines()) == 1 and not (bench / "b.ulg").exists()
+
+
+def test_a_spinning_body_without_numbered_commands_has_rates_and_no_motors(tmp_path: Path):
+    pyulog = pytest.importorskip("pyulog")
+    rates = Layout([Signal(name=n, unit="rad/s") for n in "pqr"])
+    dynamics = StateSpaceModel(
+        name="top", states=rates, outputs=rates, inputs=Layout([Signal(name="push", unit="rad/s^2")]),
+        parameters=(Parameter(name="drag", unit="1/s", nominal=0.5, scale=0.1),),
+        dynamics=lambda t, x, u, p: [u[0] - p["drag"] * x[i] for i in range(3)],
+        measurement=lambda t, x, u, p: [x[i] for i in range(3)], noise_states=("p", "q", "r"),
+    )  # fmt: skip
+    model = IdentifiedModel(
+        dynamics=dynamics, values=ParameterValues({"drag": 0.5}), process_noise=np.ones(3), sensor_noise=np.full(3, 0.1),
+        weak=np.full(3, 1e4), reference_state=np.zeros(3), reference_inputs=np.zeros(1), sample_time=0.01,
+        flight_spread={}, per_flight={},
+    )  # fmt: skip
+    channels = {n: np.sin(0.01 * np.arange(200) + i) for i, n in enumerate(("p", "q", "r", "push"))}
+    write_ulog(tmp_path / "top.ulg", model, dataset(Segment(t=0.01 * np.arange(200), channels=channels, flight="f")))
+    topics = {d.name for d in pyulog.ULog(str(tmp_path / "top.ulg")).data_list}
+    assert topics == {"vehicle_angular_velocity", "vehicle_angular_velocity_groundtruth"}
 
 
 def test_profiles_give_intervals_with_the_truth_inside(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.optimize
 
 from greybox.errors import ModelError
 from greybox.estimation.filtering import Filter
 from greybox.estimation.record import make_record
+from greybox.model.dynamics import StateSpaceModel
+from greybox.model.identified import IdentifiedModel
 from greybox.model.noise import with_disturbance
+from greybox.model.parameter import Parameter, ParameterValues
 from greybox.residual.hybrid import HybridModel
+from greybox.symbolic import Layout, Signal
 from greybox.validation.adapt import adapt_to_flight
+from mpc_export.adaptation import authority
 from mpc_export.bundle import write_bundle
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
@@ -36,24 +43,24 @@ def functions():
 
 
 def start(functions, segment):
-    """x, p, G, V before the first sample, as a user has them."""
+    """x, p, V before the first sample, as a user has them."""
     x = functions.reference[0].copy()
     own = make_record(Filter(functions.model, use_compiler=False).engine, segment).x0
     x[: len(own)] = own
-    return x, functions.parameter_values.copy(), functions.adapted.start.copy(), functions.adapted.covariance.copy()
+    return x, functions.parameter_values.copy(), functions.adapted.covariance.copy()
 
 
 def flown(functions, segment, step=None, *, memory=0.0, there=None):
     """Adapted parameters (n, n_a), the last covariance and state, after one pass over a flight."""
     call = step or functions["adapt_step"]
-    x, p, g, v = start(functions, segment)
+    x, p, v = start(functions, segment)
     u = segment.matrix(functions.inputs.names)
     y = segment.matrix(functions.outputs.names)
     seen = np.ones((segment.n, functions.sizes["n_e"])) if there is None else there
     rows = list(functions.adapted.rows)
     found = []
     for k in range(segment.n):
-        x, p, g, v, _, _ = (np.array(r) for r in call(x, u[k], p, y[k], seen[k], g, v, memory))
+        x, p, v, _, _ = (np.array(r) for r in call(x, u[k], p, y[k], seen[k], v, memory))
         x, p = x.ravel(), p.ravel()
         found.append(p[rows])
     return np.array(found), v, x
@@ -85,14 +92,18 @@ def test_learned_weights_get_the_numbers_of_their_batch_fit():
     assert own.names[:4] == tuple(f"gp.weights.rate.{i + 1}" for i in range(4))
     segment = hybrid_cases.swings(1, 3, hidden=0.1, period=3.0, seconds=6.0).flights[0].segments[0]
     found, covariance, _ = flown(functions, segment)
-    root = np.linalg.inv(np.linalg.cholesky(own.covariance + 1e-12 * np.eye(len(own.names))))
+    unsure = np.flatnonzero(np.diag(own.covariance)[4:])
+    kept = [*range(4), *(4 + unsure)]
+    root = np.linalg.inv(np.linalg.cholesky(own.covariance[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept))))
     size = np.linalg.inv(np.linalg.cholesky(functions.noise.innovation))
-    prior = np.concatenate([own.mean, np.zeros(len(own.names) - 4)])
+    prior = np.concatenate([own.mean, np.zeros(len(unsure))])
 
     def left(theta):
-        x, p, g, _ = start(functions, segment)
+        x, p, _ = start(functions, segment)
         p[list(own.rows)] = theta[:4]
-        x = np.array(functions["boxplus"](x, g[:, 4:] @ theta[4:])).ravel()
+        off = np.zeros(len(functions.error_states))
+        off[unsure] = theta[4:]
+        x = np.array(functions["boxplus"](x, off)).ravel()
         out = []
         for u, y in zip(segment.matrix(("u",)), segment.matrix(("y", "w")), strict=True):
             after, e, _ = functions["filter_step"](x, u, p, y, np.ones(2))
@@ -148,7 +159,7 @@ def test_wild_readings_leave_parameters_and_discrepancy_inside_the_physics():
     )  # fmt: skip
     functions = model_functions(model, with_=("adapt",))
     own = functions.adapted
-    x, p, g, v = start(functions, fly(make_model(), 3))
+    x, p, v = start(functions, fly(make_model(), 3))
     rng = np.random.default_rng(0)
     limited = {functions.states[n]: most for n, most in own.limits.items()}
     assert len(limited) == 6
@@ -156,8 +167,8 @@ def test_wild_readings_leave_parameters_and_discrepancy_inside_the_physics():
     u, there, touched = np.full(4, 0.8), np.ones(len(functions.innovations)), False
     for _ in range(200):
         y = hover + 3.0 * rng.standard_normal(functions.sizes["n_y"])
-        found = functions["adapt_step"](x, u, p, y, there, g, v, 5.0)
-        x, p, g, v = (np.array(r) for r in found[:4])
+        found = functions["adapt_step"](x, u, p, y, there, v, 5.0)
+        x, p, v = (np.array(r) for r in found[:3])
         theta = p.ravel()[list(own.rows)]
         assert np.isfinite(x).all() and np.isfinite(v).all()
         assert (theta >= own.lower).all() and (theta <= own.upper).all()
@@ -182,7 +193,7 @@ def test_the_plain_export_adapts_in_c(tmp_path, functions):
     c, casadi = (flown(functions, segment, step)[0] for step in (in_c, None))
     np.testing.assert_allclose(c, casadi, rtol=1e-9, atol=1e-11)
     header = (bundle.folder / "c" / "own_model.h").read_text()
-    assert "#define OWN_A_MASS" in header and f"own_adapted_start[{functions.adapted.start.size}]" in header
+    assert "#define OWN_A_MASS" in header and f"own_adapted_covariance[{functions.adapted.covariance.size}]" in header
     assert bundle.manifest["adapted"]["names"] == list(functions.adapted.names)
 
 
@@ -192,6 +203,77 @@ def test_the_self_test_of_an_adaptive_bundle_passes(tmp_path, real):
     compiled.needs_compiler()
     bundle = write_bundle(craft(), tmp_path / "own", real=real, targets=("c",), with_=("adapt",), use_cache=False)
     assert verify([str(bundle.folder)]) == 0
+
+
+def pushed_cart(states):
+    """A mass that friction slows and an unknown acceleration b pushes. Measured is its place, or the speed as only state."""
+    names = {1: ("v",), 2: ("s", "v")}[states]
+    dynamics = StateSpaceModel(
+        name="cart", states=Layout([Signal(name=n, unit="m") for n in names]),
+        inputs=Layout([Signal(name="u", unit="m/s^2")]), outputs=Layout([Signal(name="y", unit="m")]),
+        parameters=(Parameter(name="b", unit="m/s^2", nominal=0.0, scale=1.0),),
+        dynamics=lambda t, x, u, p: [*([x[1]] if states == 2 else []), u[0] - x[-1] + p["b"]],
+        measurement=lambda t, x, u, p: [x[0]], noise_states=("v",),
+    )  # fmt: skip
+    return IdentifiedModel(
+        dynamics=dynamics, values=ParameterValues({"b": 0.0}), process_noise=np.array([1.0]), sensor_noise=np.array([0.1]),
+        weak=np.full(states, 1e4), reference_state=np.zeros(states), reference_inputs=np.zeros(1), sample_time=0.01,
+        flight_spread={"b": (0.0, 1.0)}, per_flight={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("states", "memory"), [(2, 0.0), (2, 0.5), (2, 5.0), (1, 0.5)])
+def test_the_stated_error_is_the_one_made_with_a_memory_too(states, memory):
+    """b is drawn as the filter supposes. Judge: a Kalman filter of state and b together, written here."""
+    functions = model_functions(pushed_cart(states), with_=("adapt",))
+    flights, n, rng = 200, 800, np.random.default_rng(0)
+    keep = np.exp(-0.01 / memory) if memory else 1.0
+    _, a, _, by = (np.array(r) for r in functions["f_d_jac"](np.zeros(states), np.zeros(1), np.zeros(1)))
+    root = np.linalg.cholesky(functions.noise.process + 1e-15 * np.eye(states))
+    on = np.block([[a, by[:, :1]], [np.zeros((1, states)), keep]])
+    noise = scipy.linalg.block_diag(functions.noise.process, 1 - keep**2)
+    b, true = rng.standard_normal(flights), np.zeros((states, flights))
+    x, p = np.zeros((states, flights)), np.zeros((1, flights))
+    v = np.tile(functions.adapted.covariance, (1, flights))
+    judge = scipy.linalg.block_diag(functions.noise.covariance + functions.adapted.covariance[1:, 1:], 1.0)
+    step, made, stated, best = functions["adapt_step"].map(flights), [], [], []
+    blank, there, memories = np.zeros((1, flights)), np.ones((1, flights)), np.full((1, flights), memory)
+    for k in range(n):
+        y = true[:1] + 0.1 * rng.standard_normal((1, flights))
+        x, p, v = (np.array(r) for r in step(x, blank, p, y, there, v, memories)[:3])
+        gain = judge[:, :1] / (judge[0, 0] + 0.01)
+        judge = on @ (judge - gain @ judge[:1]) @ on.T + noise
+        true = a @ true + by[:, :1] * b + root @ rng.standard_normal((states, flights))
+        b = keep * b + np.sqrt(1 - keep**2) * rng.standard_normal(flights)
+        if k >= n // 4:
+            made.append(np.mean((p[0] - b) ** 2))
+            stated.append(v[0, 0])
+            best.append(judge[-1, -1])
+    assert np.sqrt(np.mean(stated)) == pytest.approx(np.sqrt(np.mean(made)), rel=0.1)
+    assert stated == pytest.approx(best, rel=0.02)
+
+
+def test_a_torque_is_bounded_by_what_the_mixer_makes_of_full_and_idle_rotors():
+    own = craft()
+    vehicle = own.physics.vehicle
+    values = {**own.values, "thrust.c0": 0.01, "thrust.c1": 0.02, "thrust.c2": 0.1, "center_of_mass.x": 0.004}
+    actuator = replace(vehicle.actuator, u_min=0.1, u_max=0.8)
+    limited = replace(
+        own, values=ParameterValues(values),
+        dynamics=replace(own.dynamics, vehicle=replace(vehicle, actuator=actuator)),
+    )  # fmt: skip
+    limits = authority(limited)
+    most = {"x": 0.0, "y": 0.0, "z": 0.0}
+    for commands in itertools.product((0.1, 0.8), repeat=4):
+        total = np.zeros(3)
+        for u, rotor in zip(commands, vehicle.rotors, strict=True):
+            arm = np.array(rotor.position) - [0.004, values["center_of_mass.y"], values["center_of_mass.z"]]
+            total += np.cross(arm, [0.0, 0.0, 0.01 + 0.02 * u + 0.1 * u**2])
+            total[2] -= rotor.spin * sum(values[f"torque.c{k}"] * u**k for k in range(3))
+        most = {a: max(m, abs(t)) for (a, m), t in zip(most.items(), total, strict=True)}
+    for axis, value in most.items():
+        assert limits[f"disturbance.torque.{axis}"] == pytest.approx(value)
+    assert limits["disturbance.force.z"] == pytest.approx(4 * (0.01 + 0.02 * 0.8 + 0.1 * 0.64))
 
 
 def test_what_cannot_adapt_is_refused_in_one_line():
