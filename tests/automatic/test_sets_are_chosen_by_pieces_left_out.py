@@ -100,6 +100,7 @@ def test_inflow_is_offered_where_something_shows_the_climb():
     assert "axial_inflow" in {n for s in nested_sets(vehicle(), placed) for n in names_of(s)}
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_never_seen_where_it_is_foretold_is_left_out_quietly():
     """A position every fifth row, as its origins are: none is seen 0.1 or 0.5 s after one."""
     data = simulated.flights(1, 4.0)

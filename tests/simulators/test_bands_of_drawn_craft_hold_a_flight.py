@@ -94,6 +94,7 @@ def few_draws() -> Draws:
     return draw(model(), 24, seed=1)
 
 
+@pytest.mark.slow
 def test_push_levels_follow_the_flights_and_not_the_seed() -> None:
     """Pushes of force at the filter's level move this craft by a thousandth of its error: nothing tells of them."""
     m, flights = model(), simulated.flights(2, 9.0, first_seed=60)
