@@ -25,8 +25,6 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse  # noqa: E402
 import json  # noqa: E402
-import subprocess  # noqa: E402
-import sys  # noqa: E402
 import tempfile  # noqa: E402
 import time  # noqa: E402
 from collections.abc import Callable, Mapping, Sequence  # noqa: E402
@@ -47,6 +45,7 @@ from greybox.symbolic import FloatArray  # noqa: E402
 from greybox.validation.adapt import adapt_to_flight  # noqa: E402
 from greybox.validation.groups import GROUPS, error_vectors  # noqa: E402
 from greybox.validation.open_loop import GroupReader, IntArray, predict_from  # noqa: E402
+from scenarios.foreign.campaign import DEVIATIONS, deviations, fit_plainly, seconds_of_children  # noqa: E402
 from scenarios.foreign.draw import draw, truth_of, write  # noqa: E402
 
 SECONDS, ADAPT, SPACING, LEARNED = 0.5, 5.0, 0.1, 2.0
@@ -60,6 +59,8 @@ REFITS, SAME = 5, 0.005
 """How often mujoco.sysid fits again at most, and the relative change of the lag that needs no further fit."""
 BOX = np.ones((3, 3)) - np.eye(3)
 """Moments of inertia of second moments of mass: any of these that are positive belong to a body."""
+COMPARED = ("motor_lag.tau", "inertia.xx", "inertia.yy", "inertia.zz")
+"""Parameters of drawn craft that both estimate."""
 Errors = dict[str, FloatArray]
 """Group -> squared norms of errors (instants, steps)."""
 
@@ -251,15 +252,16 @@ class Peer:
         at_end = [np.ravel(r) for r in residual(self.params.as_vector(), self.params)[0]]
         self.covariance = np.asarray(sysid.calculate_intervals(at_end, np.asarray(result.jac))[0])
 
-    def intervals(self) -> dict[str, tuple[float, float]]:
-        """Lag and moments of inertia of a box: (value, half width of the 95 % interval)."""
+    def estimates(self) -> dict[str, dict[str, float]]:
+        """Lag and moments of inertia of a box: value and std, as a table of a fit.json."""
         names = [n for n, p in self.params.items() for _ in range(p.size)]
         lag, box = names.index("lag"), [i for i, n in enumerate(names) if n == "inertia"]
         found = self.params.as_vector()
         moments = BOX @ found[box]
         spread = np.sqrt(np.diag(BOX @ self.covariance[np.ix_(box, box)] @ BOX.T))
-        out = {"motor_lag.tau": (float(found[lag]), 1.96 * float(self.covariance[lag, lag]) ** 0.5)}
-        return out | {f"inertia.{a}{a}": (float(moments[i]), 1.96 * float(spread[i])) for i, a in enumerate("xyz")}
+        values = (float(found[lag]), *moments.tolist())
+        errors = (float(self.covariance[lag, lag]) ** 0.5, *spread.tolist())
+        return {n: {"value": v, "std": e} for n, v, e in zip(COMPARED, values, errors, strict=True)}
 
     def predict(self, windows: Sequence[Window]) -> FloatArray:
         """States (windows, H, 13)."""
@@ -304,22 +306,13 @@ def ours(model: IdentifiedModel, data: Dataset, origins: Mapping[str, IntArray])
     return {label: {g: np.concatenate([e[g] for e in each]) for g in JUDGED} for label, each in rows.items()}
 
 
-def fit_plainly(vehicle: Path, train: Sequence[Path], out: Path, cold: bool) -> float:
-    """`greybox fit` as typed; its CPU seconds. `cold`: nothing compiled yet. A fit that is there is taken as it is."""
-    kept = out / "cpu.json"
-    if kept.exists():
-        return float(json.loads(kept.read_text()))
-    environment = dict(os.environ)
+def fitted(vehicle: Path, train: Sequence[Path], test: Sequence[Path], folder: Path, cold: bool = False) -> float:
+    """`greybox fit` as typed, into folder/fit; its CPU seconds. `cold`: nothing compiled yet."""
+    before = seconds_of_children()
     with tempfile.TemporaryDirectory() as empty:
-        if cold:
-            environment["GREYBOX_CACHE"] = empty
-        before = os.times()
-        command = [sys.executable, "-m", "greybox", "fit", "--vehicle", str(vehicle), "--train", *map(str, train)]
-        subprocess.run([*command, "--out", str(out)], check=False, capture_output=True, env=environment)
-        after = os.times()
-    cpu = after.children_user - before.children_user + after.children_system - before.children_system
-    kept.write_text(json.dumps(cpu))
-    return cpu
+        folder.mkdir(parents=True, exist_ok=True)
+        fit_plainly(vehicle, train, test, folder, (), {**os.environ, "GREYBOX_CACHE": empty} if cold else None)
+    return seconds_of_children() - before
 
 
 def nanobench(work: Path) -> list[dict[str, Any]]:
@@ -332,11 +325,11 @@ def nanobench(work: Path) -> list[dict[str, Any]]:
     judged = windows_of(test, vehicle, origins)
     still = np.stack([np.repeat(w.measured[:1], len(w.measured) - 1, axis=0) for w in judged])
     found: dict[str, tuple[Errors, dict[str, float]]] = {"last value": (squared(still, judged), {})}
-    flights = [paths[n] for n in NANOBENCH_TRAIN]
+    flights = [[paths[n] for n in names] for names in (NANOBENCH_TRAIN, NANOBENCH_TEST)]
     seconds = {
-        f"cpu_{k}": fit_plainly(vehicle_path("nanobench"), flights, work / k, k == "cold") for k in ("cold", "warm")
+        f"cpu_{k}": fitted(vehicle_path("nanobench"), *flights, work / k, cold=k == "cold") for k in ("cold", "warm")
     }
-    for label, errors in ours(IdentifiedModel.load(work / "warm" / "model.json"), test, origins).items():
+    for label, errors in ours(IdentifiedModel.load(work / "warm" / "fit" / "model.json"), test, origins).items():
         found[label] = errors, seconds
     learned = windows_of(train, vehicle, instants(train, MEMORY, LEARNED))
     begin = time.process_time()
@@ -353,33 +346,32 @@ def nanobench(work: Path) -> list[dict[str, Any]]:
 
 
 def craft(seeds: Sequence[int], folder: Path) -> list[dict[str, Any]]:
-    """One row per seed and method: deviations from the truth in half widths of the 95 % interval."""
+    """One row per seed and method: deviations from the truth in standard errors, and relative ones."""
     rows = []
     for seed in seeds:
         drawn = draw(seed)
         place = folder / str(seed)
         write(drawn, place)
         truth, vehicle = truth_of(drawn)["parameters"], read_vehicle(place / "vehicle.toml")
-        train = sorted(place.glob("train*.csv"))
-        cpu = fit_plainly(place / "vehicle.toml", train, place / "fit", False)
+        train, test = (sorted(place.glob(f"{kind}*.csv")) for kind in ("train", "test"))
+        cpu = fitted(place / "vehicle.toml", train, test, place)
         told = json.loads((place / "fit" / "fit.json").read_text())["parameters"]
-        wanted = ("inertia.xx", "inertia.yy", "inertia.zz", "motor_lag.tau")
-        own = {n: (told[n]["value"], 1.96 * told[n]["std"]) for n in wanted if told.get(n, {}).get("std")}
         about = {"seed": seed, "gusts": drawn.gusts, "sensors": "ideal" if drawn.realism is None else "real"}
-        rows.append({**about, "method": "greybox", "cpu": cpu, "off": _off(own, truth)})
+        rows.append({**about, "method": "greybox", "cpu": cpu, "off": _off(told, truth)})
         data = read_logs(train, vehicle)
         begin = time.process_time()
         peer = Peer(vehicle, next(iter(data)).dt, mass=truth["mass"])
         peer.fit(windows_of(data, vehicle, instants(data, MEMORY, LEARNED)))
         cpu = time.process_time() - begin
-        rows.append({**about, "method": "mujoco.sysid", "cpu": cpu, "off": _off(peer.intervals(), truth)})
+        rows.append({**about, "method": "mujoco.sysid", "cpu": cpu, "off": _off(peer.estimates(), truth)})
         print(*(json.dumps(r) for r in rows[-2:]), sep="\n", flush=True)
     return rows
 
 
-def _off(found: Mapping[str, tuple[float, float]], truth: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Name -> (deviation over half width, relative deviation)."""
-    return {n: ((v - truth[n]) / half, v / truth[n] - 1.0) for n, (v, half) in found.items() if n in truth}
+def _off(told: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Name -> (deviation in standard errors, relative deviation) of those of `COMPARED` that were estimated."""
+    z, off = deviations({n: told[n] for n in COMPARED if n in told}, truth)
+    return {n: (z[n], off[n]) for n in off}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -401,7 +393,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows = craft(range(first, last + 1), work)
             for method in dict.fromkeys(r["method"] for r in rows):
                 off = [o for r in rows if r["method"] == method for o in r["off"].values()]
-                inside = sum(abs(z) <= 1.0 for z, _ in off)
+                inside = sum(abs(z) <= DEVIATIONS for z, _ in off)
                 cpu = np.median([r["cpu"] for r in rows if r["method"] == method])
                 print(f"{method}: {inside} of {len(off)} inside, median error "
                       f"{100 * np.median([abs(d) for _, d in off]):.2f} %, {cpu:.1f} s of CPU")  # fmt: skip

@@ -93,16 +93,27 @@ def worse_than_last_value(validation: Mapping[str, Any]) -> list[str]:
 
 
 def fit_plainly(
-    vehicle: Path, train: Sequence[Path], test: Sequence[Path], folder: Path, options: Sequence[str]
+    vehicle: Path,
+    train: Sequence[Path],
+    test: Sequence[Path],
+    folder: Path,
+    options: Sequence[str],
+    environment: Mapping[str, str] | None = None,
 ) -> subprocess.CompletedProcess[str]:
     """`greybox fit` in a process of its own: its files are in folder/fit, what it said in
     folder/fit.txt."""
     command = [sys.executable, "-m", "greybox", "fit", "--vehicle", str(vehicle)]
     command += ["--train", *map(str, train), "--test", *map(str, test)]
     command += ["--out", str(folder / "fit"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     (folder / "fit.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
     return done
+
+
+def seconds_of_children() -> float:
+    """CPU time [s] of the processes that were run from this one and have ended."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
 
 
 def judge(
@@ -115,9 +126,9 @@ def judge(
         write(drawn, folder)
     fitted = folder / "fit"
     train, test = (sorted(folder.glob(f"{kind}*.csv")) for kind in ("train", "test"))
-    before = os.times()
+    before = seconds_of_children()
     done = fit_plainly(folder / "vehicle.toml", train, test, folder, options)
-    after = os.times()
+    seconds = seconds_of_children() - before
     z: dict[str, float] = {}
     off: dict[str, float] = {}
     worse: list[str] = []
@@ -137,10 +148,7 @@ def judge(
         sensors="ideal" if drawn.realism is None else "real",
         sigmas=drawn.knowledge.sigmas,
         code=done.returncode,
-        seconds=after.children_user
-        - before.children_user
-        + after.children_system
-        - before.children_system,
+        seconds=seconds,
         said=said[0],
         z=z,
         off=off,

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from greybox.plants.airframe import Airframe
 from greybox.plants.battery import Battery
 from greybox.plants.vectors import ZERO, Vector
@@ -86,3 +89,13 @@ class Craft:
         if self.sag:
             found["battery_sag.c_V"] = self.sag
         return found
+
+
+def thrust_and_torque(
+    frame: Airframe, strength: NDArray[np.float64], nu: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Thrust [N] and drag torque [N m] of every rotor (n,) of its strength (n,) at speeds nu (n,)."""
+    thrust, torque = (
+        strength * (c0 + nu * (c1 + nu * c2)) for c0, c1, c2 in (frame.thrust, frame.torque)
+    )
+    return thrust, torque

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from greybox.plants.effects.base import PlantEffect
 from greybox.plants.noise import SensorNoise
 from greybox.plants.vectors import Quaternion, Vector, add, apply, cross, rotation, subtract
-from scenarios.foreign.craft import Craft
+from scenarios.foreign.craft import Craft, thrust_and_torque
 from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
 
@@ -66,8 +66,7 @@ class MuJoCoPlant(ForeignPlant):
 
     def _rotors(self, nu: NDArray[np.float64]) -> NDArray[np.float64]:
         """Thrust of every rotor [N], then its drag torque [N m], at these speeds."""
-        maps = (self.airframe.thrust, self.airframe.torque)
-        return np.concatenate([self._strength * (c0 + nu * (c1 + nu * c2)) for c0, c1, c2 in maps])
+        return np.concatenate(thrust_and_torque(self.airframe, self._strength, nu))
 
     def _apply(
         self, rotors: NDArray[np.float64], wind: Vector, twist: Vector, load: Load

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from greybox.plants.effects.base import PlantEffect
 from greybox.plants.noise import SensorNoise
 from greybox.plants.vectors import Quaternion, Vector, multiply
-from scenarios.foreign.craft import Craft
+from scenarios.foreign.craft import Craft, thrust_and_torque
 from scenarios.foreign.loads import Load
 from scenarios.foreign.plant import ForeignPlant, MissingSimulator, Motion
 
@@ -50,7 +51,7 @@ class PyBulletPlant(ForeignPlant):
         self._inertia = np.array(frame.inertia_matrix).reshape(3, 3)
         moments, axes = np.linalg.eigh(self._inertia)
         axes[:, 2] *= np.sign(np.linalg.det(axes))
-        x, y, z, w = _bullet(axes)
+        x, y, z, w = Rotation.from_matrix(axes).as_quat().tolist()
         self._axes, self._given, self._taken = axes, (w, x, y, z), (w, -x, -y, -z)
         self._nu = np.zeros(len(frame.rotors))
         self._strength = 1.0 + np.array(craft.uneven)
@@ -94,7 +95,7 @@ class PyBulletPlant(ForeignPlant):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Force, world, and moment, body, at these rotor speeds and this motion."""
         frame, air = self.airframe, self.craft.air
-        thrust, torque = (self._strength * (c0 + nu * (c1 + nu * c2)) for c0, c1, c2 in (frame.thrust, frame.torque))
+        thrust, torque = thrust_and_torque(frame, self._strength, nu)
         moment = np.array([self._arms[:, 1] @ thrust, -self._arms[:, 0] @ thrust, -self._spins @ torque])
         drag = self.craft.speed_max * nu.sum() * np.array([air.rotor_drag, air.rotor_drag, air.inflow])
         force = turn @ (np.array([0.0, 0.0, thrust.sum()]) + np.array(load.force)) - drag * (velocity - np.array(wind))
@@ -150,20 +151,6 @@ def _turn(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation matrix of a quaternion (w, x, y, z)."""
     w, x, y, z = (q / np.linalg.norm(q)).tolist()
     return np.array(pybullet.getMatrixFromQuaternion((x, y, z, w))).reshape(3, 3)
-
-
-def _bullet(turn: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Quaternion (x, y, z, w) of a rotation matrix, by its largest component (Shepperd 1978)."""
-    k = np.array(
-        [
-            [turn[0, 0] - turn[1, 1] - turn[2, 2], 0.0, 0.0, 0.0],
-            [turn[0, 1] + turn[1, 0], turn[1, 1] - turn[0, 0] - turn[2, 2], 0.0, 0.0],
-            [turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1], turn[2, 2] - turn[0, 0] - turn[1, 1], 0.0],
-            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1], np.trace(turn)],
-        ]
-    )  # symmetric: its eigenvector of the largest eigenvalue is the quaternion
-    x, y, z, w = np.linalg.eigh(k)[1][:, -1].tolist()
-    return x, y, z, w
 
 
 def _vector(values: NDArray[np.float64]) -> Vector:

@@ -46,7 +46,7 @@ def test_the_peer_finds_the_numbers_that_made_its_flights(tmp_path, monkeypatch)
     assert squared(found.predict(flown), flown)["rotation"].mean() < 1e-4 * before
     np.testing.assert_allclose(found.params["lag"].value, 0.06, rtol=0.01)
     np.testing.assert_allclose(found.params["inertia"].value, true.params["inertia"].value, rtol=0.02)
-    assert all(half > 0.0 for _, half in found.intervals().values())
+    assert all(e["std"] > 0.0 for e in found.estimates().values())
 
 
 def test_errors_are_angles_and_distances():
