@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import accept_option, accepted
 
 
@@ -21,13 +22,12 @@ def add(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)"
     )
     accept_option(parser)
-    parser.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    json_option(parser, "the findings")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Check the logs, print the report, write the JSON. Returns 0, or 1 where a fault blocks a fit."""
-    from greybox.commands.judgement import tell
     from greybox.commands.vehicle_lines import say_vehicle
     from greybox.data.checks import check_logs
     from greybox.model.vehicle import read_vehicle
@@ -36,7 +36,8 @@ def run(arguments: argparse.Namespace) -> int:
     report = check_logs(
         arguments.logs, vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
     )
-    code = tell(report, arguments.json)
-    if arguments.json != "-":
+    console = Console.of(arguments)
+    console.result(report.to_dict(), report.summary())
+    if not console.quiet:
         say_vehicle(vehicle, print)
-    return code
+    return 0 if report.ok else 1

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+from greybox.commands.console import Console
 
 SCHEMA = "greybox.cite/1"
 
@@ -60,7 +61,7 @@ def add(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the list. Returns 0. Raises `FileFormatError` for a file that is not a model."""
-    from greybox.files import dump_json, read_json, write_json
+    from greybox.files import read_json
 
     model = read_json(arguments.model)
     found = works(model, where=arguments.model)
@@ -69,13 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         "model": {"file": str(arguments.model), "name": str(model.get("name", ""))},
         "works": [{"for": w.reason, "text": w.text} for w in found],
     }
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(result))
-        return 0
-    print(text(found))
-    if arguments.json:
-        write_json(arguments.json, result)
-        print(f"written: {arguments.json}")
+    Console.of(arguments).result(result, text(found))
     return 0
 
 

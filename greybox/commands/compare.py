@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
-from greybox.commands.judgement import horizon_options
+from greybox.commands.judgement import adapt_option, demand_adapt, horizon_options
 from greybox.commands.model_options import model_options, names
 
 
@@ -27,9 +28,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--train", required=True, nargs="+", metavar="LOG", help="flights to train on")
     p.add_argument("--test", required=True, nargs="+", metavar="LOG", help="flights that only the judgement sees")
     flight_log_options(p)
-    p.add_argument(
-        "--adapt", type=float, default=None, metavar="S", help="fit what belongs to a flight on its first S seconds"
-    )
+    adapt_option(p)
     p.add_argument(
         "--budget", type=int, default=4, metavar="N", help="candidates of every method with choices (default 4)"
     )
@@ -42,7 +41,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     p.add_argument("--seed", type=int, default=0, help="seed of searches, subsets and networks")
     p.add_argument("--out", default="greybox-compare", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write compare.json to F ('-': standard output)")
+    json_option(p, "compare.json")
     model_options(p.add_argument_group("the nonlinear model, as in greybox fit"))
     p.set_defaults(run=run)
 
@@ -54,63 +53,43 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.baselines.compare_methods import pairs
     from greybox.commands.judgement import given_horizons, horizon_steps
     from greybox.commands.model_options import fit_with
+    from greybox.commands.own_model import demand_disjoint
     from greybox.errors import GreyboxError
     from greybox.estimation.record import sample_time
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
     from greybox.model.vehicle import read_vehicle
-    from greybox.progress import TimeLeft
     from greybox.report.compare_report import compare_report, format_table
     from greybox.residual.learners import GP, LEARNERS
 
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     learners = (GP, *LEARNERS) if tuple(arguments.learners) == ("all",) else tuple(arguments.learners)
     pairs(learners)  # what is wrong with them is said before logs are read
     given_horizons(arguments)  # what is wrong with them is said before logs are read
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    demand_adapt(arguments)
     if arguments.budget < 1:
         raise GreyboxError("--budget takes a number above zero", got=str(arguments.budget), fix="--budget 4")
     vehicle = read_vehicle(arguments.vehicle)
     train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
     test = read_flight_logs(arguments, arguments.test, vehicle, rate=1 / sample_time(train))
-    both = sorted(set(train.names) & set(test.names))
-    if both:
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
-        )
-
-    def say(text: str) -> None:
-        if not quiet:
-            print(f"  {text}", file=sys.stderr, flush=True)
-
-    def progress(iteration: int, cost: float, _decrement: float) -> None:
-        say(f"nonlinear PEM: iteration {iteration}, cost {cost:.4f}")
-
+    demand_disjoint(train, test)
     bench = Bench(
-        vehicle=vehicle, train=train, test=test, fit=lambda: fit_with(arguments, vehicle, train, progress),
+        vehicle=vehicle, train=train, test=test, fit=lambda: fit_with(arguments, vehicle, train, console.solver),
         adapt=arguments.adapt, budget=arguments.budget, seed=arguments.seed, points=arguments.points,
-        horizons=horizon_steps(arguments, sample_time(train)), say=say,
+        horizons=horizon_steps(arguments, sample_time(train)), say=lambda text: console.say(f"  {text}"),
     )  # fmt: skip
     out = Path(arguments.out)
     command = typed("compare")
     content: dict[str, Any] = {}
-    left = TimeLeft()
     for partial in compare(bench, arguments.methods, learners=learners):
         # What is done stays done, whatever happens to the next method.
         content = {**partial, "command": command}
         write_json(out / "compare.json", content)
         write_atomic(out / "report.html", compare_report(content))
-        done = [m["method"] for m in content["methods"]]
+        done = len(content["methods"])
         others = content["not_run"]
         arguments.kept = f"what is done is in {out / 'compare.json'}; for the rest: --methods {','.join(others)} --out OTHER"
-        say(f"{len(done)} of {len(done) + len(others)} done{left.after(len(done) / (len(done) + len(others)))}")
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        print(format_table(content))
-        print(f"wrote compare.json and report.html in {out}")
+        console.share(f"{done} of {done + len(others)} done", done / (done + len(others)))
+    console.result(content, format_table(content), f"wrote compare.json and report.html in {out}")
     failed = [m["method"] for m in content["methods"] if m["status"] != "done"]
     for m in content["methods"]:
         if m["status"] != "done":

@@ -5,14 +5,18 @@ from __future__ import annotations
 import argparse
 import itertools
 import shlex
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.data.checks import CheckReport
+    from greybox.discovery.result import Discovery
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options, read_flight_logs
-from greybox.commands.judgement import accept_option, accepted
+from greybox.commands.judgement import accept_option, accepted, adapt_option, demand_adapt
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import names
 
@@ -53,7 +57,7 @@ def add(subparsers: Any) -> None:
     flight_log_options(p)
     p.add_argument("--alpha", type=float, default=0.05, help="probability of a false name on flights that miss nothing")
     p.add_argument("--max-effects", type=int, default=8, metavar="N", help="no more than N effects (default 8)")
-    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    adapt_option(p)
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py",
                    help="also offer the effects of these Python files, which are run (only what you trust)")  # fmt: skip
     p.add_argument("--kinematic-noise", action="store_true", help="noise between attitude and gyro (clocks that drift)")
@@ -71,74 +75,39 @@ def add(subparsers: Any) -> None:
     p.add_argument("--out", default=None, metavar="DIR",
                    help="folder for the results (default greybox-discover, or that of --continue)")  # fmt: skip
     mcap_option(p)
-    p.add_argument("--json", metavar="F", default=None, help="also write discovery.json to F ('-': standard output)")
+    json_option(p, "discovery.json")
     p.set_defaults(run=run, default_out=lambda arguments: arguments.folder or "greybox-discover")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Read, check, search, report."""
-    from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data import Dataset
-    from greybox.data.checks import check_logs
-    from greybox.discovery.result import WITH_LAWS, Discovery
-    from greybox.discovery.workflow import discover, refused
-    from greybox.errors import GreyboxError
-    from greybox.estimation.record import sample_time
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
-    from greybox.model.effects_file import load_effects
-    from greybox.model.identified import IdentifiedModel
-    from greybox.model.vehicle import read_vehicle
-    from greybox.progress import TimeLeft
-    from greybox.report.discover_report import discover_report
-    from greybox.residual.laws.effect_file import LAW_FILE
+class _Search:
+    """The folder of a search: what it wrote so far (`content` of discovery.json), rewritten after every step."""
 
-    quiet = arguments.json == "-"
-    if not 0 < arguments.alpha < 1:
-        raise GreyboxError("--alpha takes a probability", got=f"{arguments.alpha:g}", fix="--alpha 0.05")
-    if arguments.max_effects < 0:
-        raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
-    need_mcap(arguments.mcap)
-    if arguments.folder is not None:
-        if arguments.mcap:
-            raise GreyboxError("--continue writes no recording", fix="greybox validate model.json --log LOGS --mcap F.mcap")
-        return _go_on(arguments)
-    if not arguments.train:
-        raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
-    out = Path(arguments.out or "greybox-discover")
-    for path in map(Path, arguments.effects_file):
-        if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
-            raise GreyboxError(
-                f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
-            )
-    if (arguments.vehicle is None) == (arguments.since is None):
-        raise GreyboxError("discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json")
-    offered = {path: load_effects(path) for path in arguments.effects_file}
-    own = [e for effects in offered.values() for e in effects]
-    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
-    vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
-    # The files show faults of their clocks, which reading mends.
-    faults = check_logs(
-        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
-    )
-    content: dict[str, Any] = {}
-    began: list[bool] = []
+    def __init__(
+        self, out: Path, title: str, offered: Mapping[str, Sequence[Any]], faults: CheckReport
+    ) -> None:
+        self.content: dict[str, Any] = {}
+        self._out, self._title, self._offered, self._faults = out, title, offered, faults
+        self._began = False
 
-    def write(found: Discovery) -> None:
+    def write(self, found: Discovery) -> None:
+        """Write what is found. The result comes last: until then it says that the search was stopped."""
+        from greybox.discovery.result import WITH_LAWS
+        from greybox.files import withdraw, write_atomic, write_json
+
+        out, content = self._out, self.content
         content.update(found.to_dict())
-        content["warnings"] = [*(f"accepted: {f.flight}: {f.message}" for f in faults.overruled), *content["warnings"]]
+        accepted_faults = (f"accepted: {f.flight}: {f.message}" for f in self._faults.overruled)
+        content["warnings"] = [*accepted_faults, *content["warnings"]]
         content["command"] = typed("discover")
         has = () if found.fit is None else found.model.effects
-        content["effects_files"] = [path for path, effects in offered.items() if {e.name for e in effects} & set(has)]
+        content["effects_files"] = [path for path, effects in self._offered.items() if {e.name for e in effects} & set(has)]
         withdraw(out, "report.html")
         if found.fit is None:
             write_json(out / "discovery.json", content)
             return
-        # The result comes last: until then it says that the search was stopped.
-        if not began:
+        if not self._began:
             withdraw(out, "discovery.json", WITH_LAWS)
-            began.append(True)
+            self._began = True
         found.model.save(out / "model.json")
         laws = found.proposals()
         _set_aside_laws(out, laws)
@@ -150,58 +119,110 @@ def run(arguments: argparse.Namespace) -> int:
             withdraw(out, WITH_LAWS)
         write_json(out / "discovery.json", content)
 
-    def page() -> None:
-        write_atomic(out / "report.html", discover_report(content, title=f"What the model of {vehicle.name} misses"))
+    def page(self) -> None:
+        """Write report.html of what is found so far."""
+        from greybox.files import write_atomic
+        from greybox.report.discover_report import discover_report
 
-    left = TimeLeft()
+        write_atomic(self._out / "report.html", discover_report(self.content, title=self._title))
 
-    def progress(text: str, share: float) -> None:
-        if not quiet:
-            print(f"  {100 * share:3.0f} %  {text}{left.after(share)}", file=sys.stderr, flush=True)
+    def kept(self) -> str:
+        """Where an interrupted search goes on."""
+        model = self._out / "model.json"
+        more = f"; greybox discover --from {model} --train LOGS goes on from it" if model.exists() else ""
+        return f"what was found until then is in {self._out}{more}"
 
+    def lines(self, found: Discovery) -> list[str]:
+        """The result for people, and what was written."""
+        from greybox.discovery.result import WITH_LAWS
+
+        lines, laws = [found.summary()], list(found.proposals())
+        written = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
+        if found.lawful is not None:
+            written.append(WITH_LAWS)
+            files = shlex.join([*self.content["effects_files"], *(str(self._out / name) for name in laws)])
+            model = shlex.quote(str(self._out / WITH_LAWS))
+            lines.append(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
+        return [*lines, f"wrote {', '.join(written)} and report.html in {self._out}"]
+
+
+def _check(arguments: argparse.Namespace, out: Path) -> None:
+    """Raise `GreyboxError` for options that do not fit together, before anything is read."""
+    from greybox.errors import GreyboxError
+    from greybox.residual.laws.effect_file import LAW_FILE
+
+    if not 0 < arguments.alpha < 1:
+        raise GreyboxError("--alpha takes a probability", got=f"{arguments.alpha:g}", fix="--alpha 0.05")
+    if arguments.max_effects < 0:
+        raise GreyboxError("--max-effects takes 0 or more", got=str(arguments.max_effects), fix="--max-effects 8")
+    demand_adapt(arguments)
+    need_mcap(arguments.mcap)
+    if arguments.folder is not None:
+        if arguments.mcap:
+            raise GreyboxError("--continue writes no recording", fix="greybox validate model.json --log LOGS --mcap F.mcap")
+        return
+    if not arguments.train:
+        raise GreyboxError("discover needs flights to search in", fix="--train LOGS")
+    for path in map(Path, arguments.effects_file):
+        if path.resolve().parent == out.resolve() and LAW_FILE.fullmatch(path.name):
+            raise GreyboxError(
+                f"{path}: a search that writes to {out} may write over it", fix="another --out, or rename the file"
+            )
+    if (arguments.vehicle is None) == (arguments.since is None):
+        raise GreyboxError("discover takes a vehicle file or --from", fix="--vehicle V.toml, or --from model.json")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, check, search, report."""
+    from greybox.commands.vehicle_lines import say_vehicle
+    from greybox.data import Dataset
+    from greybox.data.checks import check_logs
+    from greybox.discovery.workflow import discover, refused
+    from greybox.estimation.record import sample_time
+    from greybox.model.effects_file import load_effects
+    from greybox.model.identified import IdentifiedModel
+    from greybox.model.vehicle import read_vehicle
+
+    out, console = Path(arguments.out or "greybox-discover"), Console.of(arguments)
+    _check(arguments, out)
+    if arguments.folder is not None:
+        return _go_on(arguments)
+    offered = {path: load_effects(path) for path in arguments.effects_file}
+    own = [e for effects in offered.values() for e in effects]
+    since = None if arguments.since is None else IdentifiedModel.load(arguments.since, effects=own)
+    vehicle = read_vehicle(arguments.vehicle) if since is None else since.physics.vehicle
+    # The files show faults of their clocks, which reading mends.
+    faults = check_logs(
+        [*arguments.train, *arguments.test], vehicle, mapping=arguments.mapping, accept=accepted(arguments.accept)
+    )
+    search = _Search(out, f"What the model of {vehicle.name} misses", offered, faults)
     if faults.ok:
         train = read_flight_logs(arguments, arguments.train, vehicle, rate=arguments.rate)
         test = Dataset(flights=())
         if arguments.test:
             rate = arguments.rate or 1 / sample_time(train)
             test = read_flight_logs(arguments, arguments.test, vehicle, rate=rate)
-        if not quiet:
-            say_vehicle(vehicle, lambda line: print(line, file=sys.stderr))
+        say_vehicle(vehicle, console.say)
         try:
             found = discover(
                 vehicle, train, test, own=own, alpha=arguments.alpha, max_effects=arguments.max_effects,
                 adapt=arguments.adapt, kinematic_noise=arguments.kinematic_noise, per_flight=arguments.per_flight,
                 fixed=arguments.fixed, hold_sensor_noise=arguments.hold_noise == "sensor", attainable=arguments.attainable,
-                trace=arguments.trace, since=since, seed=arguments.seed, faults=faults, progress=progress, save=write,
+                trace=arguments.trace, since=since, seed=arguments.seed, faults=faults, progress=console.share,
+                save=search.write,
             )  # fmt: skip
         except KeyboardInterrupt:
-            if content:
-                page()
-                where = out / "model.json"
-                arguments.kept = f"what was found until then is in {out}" + (
-                    f"; greybox discover --from {where} --train LOGS goes on from it" if where.exists() else ""
-                )
+            if search.content:
+                search.page()
+                arguments.kept = search.kept()
             raise
     else:
         found = refused(faults, vehicle, settings={"alpha": arguments.alpha, "seed": arguments.seed})
-    write(found)
-    page()
+    search.write(found)
+    search.page()
     if found.fit is not None:
         write_if_asked(arguments.mcap, found.model, train, test)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        print(found.summary())
-        laws = list(found.proposals())
-        kept = ["discovery.json", *(["model.json"] if found.fit is not None else []), *laws]
-        if found.lawful is not None:
-            kept.append(WITH_LAWS)
-            files = shlex.join([*content["effects_files"], *(str(out / name) for name in laws)])
-            model = shlex.quote(str(out / WITH_LAWS))
-            print(f"what laws leave: greybox learn {model} --effects-file {files} --train ...")
-        print(f"wrote {', '.join(kept)} and report.html in {out}")
+    console.result(search.content, *search.lines(found))
     return 0
 
 
@@ -211,7 +232,7 @@ def _go_on(arguments: argparse.Namespace) -> int:
     from greybox.discovery.further import further
     from greybox.discovery.result import WITH_LAWS
     from greybox.errors import DataError, GreyboxError
-    from greybox.files import dump_json, read_json, withdraw, write_atomic, write_json
+    from greybox.files import read_json, withdraw, write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.identified import IdentifiedModel
     from greybox.report.discover_report import discover_report
@@ -241,13 +262,9 @@ def _go_on(arguments: argparse.Namespace) -> int:
     write_json(out / "discovery.json", content)
     title = f"What the model of {model.physics.vehicle.name} misses"
     write_atomic(out / "report.html", discover_report(content, title=title))
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-        return 0
-    if arguments.json:
-        write_json(arguments.json, content)
-    print(content["line"])
-    for e in (*content["effects"], *content["not_certified"]):
-        print(f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)")
-    print(f"wrote discovery.json and report.html in {out}")
+    names = (
+        f"  {e['name']}: {e['status']}, log10 e {e['log10_e']:.1f} ({e.get('further', 0.0):+.1f} by these flights)"
+        for e in (*content["effects"], *content["not_certified"])
+    )
+    Console.of(arguments).result(content, content["line"], *names, f"wrote discovery.json and report.html in {out}")
     return 0

@@ -9,6 +9,8 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.console import Console
+
 STAGES = {
     "command": "what becomes of the command before it reaches the motors: a fixed chain of delay, saturation and curve",
     "rotor": "from command to rotor speed: factors multiply, then at most one lag",
@@ -38,7 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     """List the chosen effects. Returns 0. Raises `UnknownNameError` for an unknown name, `ModelError` for a bad file."""
     from greybox.commands.effects_output import catalogue, text
     from greybox.errors import UnknownNameError
-    from greybox.files import dump_json, write_json
     from greybox.model.effects import CATALOGUE
 
     known = {e.name: e for e in CATALOGUE}
@@ -52,13 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     chosen = tuple(known[n] for n in arguments.names) or tuple(known.values())
     if arguments.stage:
         chosen = tuple(e for e in chosen if e.stage == arguments.stage)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(catalogue(chosen)))
-        return 0
-    print(text(chosen))
-    if arguments.json:
-        write_json(arguments.json, catalogue(chosen))
-        print(f"written: {arguments.json}")
+    Console.of(arguments).result(catalogue(chosen), text(chosen))
     return 0
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
+from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
 
 TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
@@ -43,7 +43,7 @@ def add(commands: Any) -> None:
     model_file_option(p)
     p.add_argument("--even-so", action="store_true", help="go on although the model was judged not usable")
     p.add_argument("--no-cache", action="store_true", help="build anew even if the same export is in the cache")
-    p.add_argument("--json", metavar="FILE", help="write the manifest; - for standard output")
+    json_option(p, "the manifest")
     p.set_defaults(run=run)
 
 
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, export, say what was written. Returns 0, or 1 where the model is not usable."""
     from greybox.commands.judgement import gate
     from greybox.errors import DataError, UnknownNameError
-    from greybox.files import dump_json, read_json, write_json
+    from greybox.files import read_json
 
     for what, given, known in (("export target", arguments.target, TARGETS), ("group", arguments.groups, GROUPS)):
         for name in _split(given):
@@ -78,12 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         runtime_parameters=_split(arguments.runtime), points=arguments.points, use_cache=not arguments.no_cache,
     )  # fmt: skip
     judged.say("export")
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(bundle.manifest))
-        return 0
-    print(describe(bundle))
-    if arguments.json:
-        write_json(arguments.json, bundle.manifest)
+    Console.of(arguments).result(bundle.manifest, describe(bundle))
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
     from greybox.validation.result import Validation
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.model_options import fit_with, given, model_options
 from greybox.commands.own_model import model_file_option
-
-Say = Callable[[str], None]
 
 
 def add(subparsers: Any) -> None:
@@ -48,7 +47,7 @@ def add(subparsers: Any) -> None:
     model_options(p)
     p.add_argument("--rate", type=float, default=None, metavar="HZ", help="resample the logs to this rate")
     horizon_options(p)
-    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    adapt_option(p)
     p.add_argument("--manual", action="store_true", help="decide nothing: what is not said has its plain default")
     p.add_argument(
         "--judge-left-out",
@@ -59,43 +58,25 @@ def add(subparsers: Any) -> None:
     p.add_argument("--seed", type=int, default=0, help="seed of random starts")
     p.add_argument("--out", default="greybox-fit", metavar="DIR", help="folder for the results")
     mcap_option(p)
-    p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
+    json_option(p, "fit.json")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, check, decide, fit, validate, report."""
     from greybox.commands.fit_own import RESULTS
-    from greybox.commands.flight_series import series
-    from greybox.commands.responses import responses
+    from greybox.commands.fit_own import run as run_own
     from greybox.commands.vehicle_lines import say_vehicle
-    from greybox.data import Dataset
     from greybox.data.checks import check
     from greybox.errors import GreyboxError
     from greybox.estimation.status import Interrupted
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.files import withdraw, write_json
     from greybox.model.vehicle import read_vehicle
-    from greybox.progress import TimeLeft
-    from greybox.report.fit_report import fit_report
 
-    if (arguments.vehicle is None) == (arguments.model_file is None):
-        raise GreyboxError(
-            "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
-            fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} --out V.toml begins one",
-        )  # fmt: skip
-    need_mcap(arguments.mcap)
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    _check(arguments)
     if arguments.model_file is not None:
-        from greybox.commands.fit_own import run as run_own
-
         return run_own(arguments)
-    quiet = arguments.json == "-"
-
-    def say(text: str) -> None:
-        if not quiet:
-            print(text, file=sys.stderr, flush=True)
-
+    console, out = Console.of(arguments), Path(arguments.out)
     horizons = given_horizons(arguments)
     vehicle = read_vehicle(arguments.vehicle)
     prepared, test = _flights(arguments, vehicle)
@@ -105,16 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     warnings += _unfit(arguments, vehicle)
     for warning in warnings:
         print(f"greybox fit: {warning}", file=sys.stderr)
-    say_vehicle(vehicle, say)
-    say(f"{prepared.data}")
-
-    left = TimeLeft()
-
-    def progress(iteration: int, cost: float, decrement: float) -> None:
-        rest = left.after_step(iteration, decrement)
-        say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}")
-
-    out = Path(arguments.out)
+    say_vehicle(vehicle, console.say)
+    console.say(f"{prepared.data}")
 
     def save(result: Fit) -> dict[str, Any]:
         content: dict[str, Any] = result.to_dict()
@@ -128,9 +101,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     try:
         if arguments.manual:
-            result = fit_with(arguments, vehicle, prepared.data, progress)
+            result = fit_with(arguments, vehicle, prepared.data, console.solver)
         else:
-            result = _decided(arguments, vehicle, prepared, say, progress)
+            result = _decided(arguments, vehicle, prepared, console)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept)
@@ -141,65 +114,85 @@ def run(arguments: argparse.Namespace) -> int:
     withdraw(out, *RESULTS)
     content = save(result)
     arguments.kept = f"the fit is in {out}, not judged: greybox validate {out / 'model.json'} --log LOGS judges it"
-    physics = _sanity_lines(result)
-    checked: dict[str, Any] | None = None
-    table = ""
-    pieces: tuple[Any, Dataset] | None = None
+    seen = None
     try:
-        if arguments.judge_left_out or not (test.flights or arguments.manual):
-            pieces = _pieces(arguments, vehicle, prepared, result)
-        seen, left_out = _validated(arguments, result, prepared, test, faults, pieces, horizons)
+        seen, left_out = _validated(arguments, result, prepared, test, faults, horizons)
         result = result.judged(seen.verdict)
         content = save(result)
         if test.flights and left_out is not None:
             content["left_out"] = left_out.to_dict()
             write_json(out / "fit.json", content)
-        checked, table = seen.to_dict(), seen.table_text() if test.flights else ""
     except GreyboxError as error:
         content["warnings"].insert(0, f"no validation: {error}")
         print(f"greybox fit: no validation: {error}", file=sys.stderr)
         write_json(out / "fit.json", content)
+    written = _report(arguments, result, content, seen, prepared, test)
+    table = seen.table_text() if seen is not None and test.flights else ""
+    console.result(content, *_lines(result, table, content), f"wrote {written} in {out}")
+    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise `GreyboxError` for options that do not fit together, before anything is read."""
+    from greybox.errors import GreyboxError
+
+    if (arguments.vehicle is None) == (arguments.model_file is None):
+        raise GreyboxError(
+            "fit takes a vehicle file or a model of your own", expected="one of --vehicle and --model-file",
+            fix=f"--vehicle V.toml; greybox vehicle new --from {shlex.quote(arguments.train[0])} --out V.toml begins one",
+        )  # fmt: skip
+    need_mcap(arguments.mcap)
+    demand_adapt(arguments)
+
+
+def _report(
+    arguments: argparse.Namespace, result: Fit, content: Mapping[str, Any], seen: Validation | None,
+    prepared: Prepared, test: Dataset,
+) -> str:  # fmt: skip
+    """Write validate.json, report.html and the recording. Returns the names of all files of the fit, for people."""
+    from greybox.commands.flight_series import series
+    from greybox.commands.responses import responses
+    from greybox.data import Dataset
+    from greybox.files import write_atomic, write_json
+    from greybox.report.fit_report import fit_report
+    from greybox.validation.usefulness import LEFT_OUT
+
+    out = Path(arguments.out)
+    checked = None if seen is None else seen.to_dict()
     if checked is not None:
         if not test.flights:
+            verdict = result.verdict
+            pieces = verdict is not None and verdict.judged_on == LEFT_OUT
             where = "pieces of the training flights" if pieces else "the flights that were fitted"
             checked.setdefault("warnings", []).insert(0, f"validated on {where}: give --test flights")
         write_json(out / "validate.json", checked)
     adapted = ((checked or {}).get("adapted_on") or {}).get("flights", {})
     # The flight that judges is drawn; a fitted one where there is none.
     drawn = (Dataset(flights=()), test) if test.flights else (prepared.data,)
-    lines = series(result.model, *drawn, adapted=adapted)
+    drawing = series(result.model, *drawn, adapted=adapted)
     # What physics says on the terminal stands on the page, too.
-    said = {**content, "warnings": [*physics, *content["warnings"]]}
+    said = {**content, "warnings": [*_sanity_lines(result), *content["warnings"]]}
     answers = responses(result.model, prepared.data, test)
-    page = fit_report(said, lines, checked, responses=answers, title=f"Fit of {vehicle.name}")
-    report = write_atomic(out / "report.html", page)
+    title = f"Fit of {result.model.physics.vehicle.name}"
+    report = write_atomic(out / "report.html", fit_report(said, drawing, checked, responses=answers, title=title))
     write_if_asked(arguments.mcap, result.model, prepared.data, test, adapted=adapted)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        _print(result, physics, table, content)
-        print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name} in {out}")
-    return exit_code(result.verdict) if result.verdict is not None or result.converged else 1
+    return f"{', '.join(p.name for p in sorted(out.glob('*.json')))} and {report.name}"
 
 
-def _print(result: Fit, physics: Sequence[str], table: str, content: Mapping[str, Any]) -> None:
+def _lines(result: Fit, table: str, content: Mapping[str, Any]) -> list[str]:
     """The verdict and what physics says, the decisions with their reasons, the estimates, the explicit command."""
     first, *rest = result.summary().splitlines()
-    print(first)
-    for line in physics:
-        print(line)
+    lines = [first, *_sanity_lines(result)]
     if result.provenance.decisions:
-        print("\nDecided, because nothing else was said:")
-        for decision in result.provenance.decisions:
-            print(f"  {decision.line()}")
-        print()
-    print("\n".join(rest))
+        lines += ["", "Decided, because nothing else was said:"]
+        lines += [f"  {decision.line()}" for decision in result.provenance.decisions]
+        lines += [""]
+    lines += rest
     if table:
-        print(f"{table}\n")
+        lines += [table, ""]
     if "explicit" in content:
-        print(f"The same as an explicit command:\n  {content['explicit']['command']}")
+        lines += ["The same as an explicit command:", f"  {content['explicit']['command']}"]
+    return lines
 
 
 def _flights(arguments: argparse.Namespace, vehicle: Vehicle) -> tuple[Prepared, Dataset]:
@@ -260,25 +253,23 @@ def _unfit(arguments: argparse.Namespace, vehicle: Vehicle) -> list[str]:
     return [f"greybox inspect calls {path} not usable: {'; '.join(why)}" for path, why in found if why]
 
 
-def _decided(
-    arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, say: Say, progress: Any
-) -> Fit:
+def _decided(arguments: argparse.Namespace, vehicle: Vehicle, prepared: Prepared, console: Console) -> Fit:
     """The automatic fit."""
     from greybox.automatic.decide import decide
     from greybox.automatic.facts import facts_of
     from greybox.automatic.fit import fit_decided
     from greybox.estimation.status import Interrupted
 
-    say("deciding what is open, on pieces of the flights that are left out:")
+    console.say("deciding what is open, on pieces of the flights that are left out:")
     for done in prepared.decisions():
-        say(f"  {done.about}: {done.choice} ({done.reason})")
+        console.say(f"  {done.about}: {done.choice} ({done.reason})")
     facts = facts_of(prepared.data, vehicle, prepared.report)
     try:
-        decided = decide(vehicle, prepared.data, facts, given(arguments), say=say)
+        decided = decide(vehicle, prepared.data, facts, given(arguments), say=console.say)
     except Interrupted:  # a trial on pieces of the flights is no result
         raise KeyboardInterrupt from None
-    say("fitting all flights:")
-    return fit_decided(vehicle, prepared, decided, say=say, progress=progress)
+    console.say("fitting all flights:")
+    return fit_decided(vehicle, prepared, decided, say=console.say, progress=console.solver)
 
 
 def _pieces(
@@ -295,7 +286,7 @@ def _pieces(
 
 def _validated(
     arguments: argparse.Namespace, result: Fit, prepared: Prepared, test: Dataset,
-    faults: CheckReport | None, pieces: tuple[Any, Dataset] | None, horizons: Mapping[str, Any],
+    faults: CheckReport | None, horizons: Mapping[str, Any],
 ) -> tuple[Validation, Verdict | None]:  # fmt: skip
     """(on test flights where there are any (`faults`: what their checks said), else on pieces left out, else on the
     flights that were fitted; the verdict on the pieces, where there are any)."""
@@ -316,6 +307,9 @@ def _validated(
         *hints_of_sanity(sanity_of(result)),
         *hints_of_fit(result),
     )
+    pieces = None
+    if arguments.judge_left_out or not (test.flights or arguments.manual):
+        pieces = _pieces(arguments, result.model.physics.vehicle, prepared, result)
     left_out = None if pieces is None else validate(*pieces, **horizons, hints=hints, judged_on=LEFT_OUT)
     if test.flights:
         seen = validate(result.model, test, **horizons, adapt=_adapted(arguments, result, test), hints=hints)

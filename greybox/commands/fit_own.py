@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console
 
 if TYPE_CHECKING:
     from greybox.data import Dataset
@@ -34,15 +34,14 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.estimation.fit import fit
     from greybox.estimation.record import sample_time
     from greybox.estimation.status import Interrupted
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.own_model import load_own_model
-    from greybox.progress import TimeLeft
     from greybox.report.fit_report import fit_report
 
     for name, silent in OF_VEHICLES.items():
         if getattr(arguments, name) != silent:
             raise GreyboxError(f"--{name.replace('_', '-')} is for vehicles", got="--model-file", fix="leave it out")
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     horizons = given_horizons(arguments, own=True)
     model = load_own_model(arguments.model_file)
     train = read_flights_of(arguments, model, arguments.train, rate=arguments.rate)
@@ -57,15 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
         found.model.save(out / "model.json")
         return content
 
-    left = TimeLeft()
-
-    def progress(iteration: int, cost: float, decrement: float) -> None:
-        rest = left.after_step(iteration, decrement)
-        if not quiet:
-            print(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}", file=sys.stderr)
-
     try:
-        found = fit(model, train, fit_options(arguments), progress=progress)
+        found = fit(model, train, fit_options(arguments), progress=console.solver)
     except Interrupted as stop:
         withdraw(out, *RESULTS)
         save(stop.kept, [])
@@ -89,17 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     write_atomic(out / "report.html", page)
     write_if_asked(arguments.mcap, found.model, train, test)
-    if quiet:
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        print(found.summary())
-        for warning in warnings:
-            print(f"warning: {warning}")
-        if seen is not None and seen.tables:
-            print(seen.table_text())
-        print(f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and report.html in {out}")
+    table = [seen.table_text()] if seen is not None and seen.tables else []
+    written = f"wrote {', '.join(p.name for p in sorted(out.glob('*.json')))} and report.html in {out}"
+    console.result(content, found.summary(), *(f"warning: {w}" for w in warnings), *table, written)
     return exit_code(found.verdict) if found.verdict is not None or found.converged else 1
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
 
@@ -105,15 +106,13 @@ def add(subparsers: Any) -> None:
         help="effects of your own in the model",
     )
     p.add_argument("--out", default="greybox-frf", metavar="DIR", help="folder for the results")
-    p.add_argument(
-        "--json", metavar="F", default=None, help="also write frf.json to F ('-': standard output)"
-    )
+    json_option(p, "frf.json")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report. Returns 1 where no response has a frequency that can be used."""
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.files import withdraw, write_atomic, write_json
     from greybox.linear.frf import frf
     from greybox.report.frf_report import frf_report
 
@@ -137,13 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(out / "frf.json", content)
     write_atomic(out / "frf.csv", table)
     write_atomic(out / "report.html", page)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    else:
-        if arguments.json:
-            write_json(arguments.json, content)
-        print(found.summary())
-        print(f"wrote {', '.join(WRITTEN)} in {out}")
+    Console.of(arguments).result(content, found.summary(), f"wrote {', '.join(WRITTEN)} in {out}")
     return 0 if found.measured else 1
 
 

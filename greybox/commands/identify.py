@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import accept_option, accepted
 from greybox.commands.model_options import names
 
@@ -35,7 +36,7 @@ def add(subparsers: Any) -> None:
     accept_option(p)
     p.add_argument("--seed", type=int, default=0, help="seed of all stages")
     p.add_argument("--out", default="greybox-identify", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write identify.json to F ('-': standard output)")
+    json_option(p, "identify.json")
     p.set_defaults(run=run)
 
 
@@ -46,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.commands.chain.request import Request
     from greybox.commands.chain.run import run_chain
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, read_json, write_json
+    from greybox.files import read_json
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -75,16 +76,10 @@ def run(arguments: argparse.Namespace) -> int:
             say(outcome.line)
             raise KeyboardInterrupt
         raise GreyboxError(outcome.line)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(read_json(out / FILE)))
-        return outcome.exit_code
-    if arguments.json:
-        write_json(arguments.json, read_json(out / FILE))
-    print(outcome.line)
-    print(f"model: {outcome.model} ({outcome.why})")
+    lines = [outcome.line, f"model: {outcome.model} ({outcome.why})"]
     for record in found.so_far.done.values():
         ended = f"skipped ({record.skipped})" if record.skipped else f"{record.seconds:.0f} s"
         failed = "" if record.finished else f", failed: {' '.join(record.lines[-1:])}"
-        print(f"  {record.folder:11} {ended}{failed}")
-    print(f"wrote {out / 'report.html'}")
+        lines.append(f"  {record.folder:11} {ended}{failed}")
+    Console.of(arguments).result(read_json(out / FILE), *lines, f"wrote {out / 'report.html'}")
     return outcome.exit_code

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 import warnings
 from pathlib import Path
 from typing import Any
+
+from greybox.commands.console import Console, json_option
 
 
 def add(subparsers: Any) -> None:
@@ -27,7 +28,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--draft", metavar="MAP.toml", help="write what columns with names of their own look like as a mapping "
                    "file, to be looked over")  # fmt: skip
     p.add_argument("--force", action="store_true", help="let --draft write over an existing file")
-    p.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    json_option(p, "the findings")
     p.set_defaults(run=run, one_file=True)
 
 
@@ -37,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     from greybox.data.inspection import inspect_log
     from greybox.data.logs.write import write_csv
     from greybox.errors import DataError
-    from greybox.files import dump_json, no_overwriting, write_atomic, write_json
+    from greybox.files import no_overwriting, write_atomic
     from greybox.model.vehicle import read_vehicle
 
     if arguments.draft:
@@ -62,14 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
         if found.raw is None:
             raise DataError(f"nothing to write to {arguments.out}: {found.problem}")
         written = write_csv(arguments.out, found.raw)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    else:
-        if arguments.json:
-            write_json(arguments.json, content)
-        print(text(content, every=arguments.all))
-        if written is not None:
-            print(f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s")
+    csv = [] if written is None else [f"wrote {written}: {content['rows']} rows, {content['duration']:.3f} s"]
+    Console.of(arguments).result(content, text(content, every=arguments.all), *csv)
     return 0 if content["uses"]["fit"] else 1
 
 

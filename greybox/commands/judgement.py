@@ -1,5 +1,4 @@
-"""What the commands that judge have in common: print the findings, write the JSON, give the exit
-code."""
+"""What the commands that judge have in common: options, and the exit code."""
 
 from __future__ import annotations
 
@@ -14,23 +13,6 @@ if TYPE_CHECKING:
     from greybox.model.verdict import Verdict
 
 
-def tell(report: Any, json: str | None) -> int:
-    """Print `report` (`summary()`, `to_dict()`, `ok`), or its JSON where `json` is "-"; write it to
-    the file `json`.
-
-    Returns 0, or 1 where something blocks. Raises `OutputError`.
-    """
-    from greybox.files import dump_json, write_json
-
-    if json == "-":
-        print(dump_json(report.to_dict()), end="")
-    else:
-        if json:
-            write_json(json, report.to_dict())
-        print(report.summary())
-    return 0 if report.ok else 1
-
-
 def accept_option(p: argparse.ArgumentParser) -> None:
     """Declare --accept."""
     p.add_argument(
@@ -40,6 +22,25 @@ def accept_option(p: argparse.ArgumentParser) -> None:
         help="checks whose blocking findings are overruled, by the name in brackets (frozen,motors); "
         "the result says so",
     )
+
+
+def adapt_option(p: Any) -> None:
+    """Declare --adapt."""
+    p.add_argument(
+        "--adapt",
+        type=float,
+        default=None,
+        metavar="S",
+        help="fit per-flight parameters on the first S seconds of each flight",
+    )
+
+
+def demand_adapt(arguments: argparse.Namespace) -> None:
+    """Raise `DataError` for an --adapt that is no time."""
+    from greybox.errors import DataError
+
+    if arguments.adapt is not None and not arguments.adapt > 0:
+        raise DataError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
 
 
 def accepted(text: str) -> tuple[str, ...]:

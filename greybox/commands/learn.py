@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
 from greybox.commands.mcap_option import mcap_option, need_mcap, write_if_asked
 from greybox.commands.own_model import demand_disjoint, loaded, model_file_option, read_flights_of
 
@@ -36,7 +36,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
     p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
                    "what it teaches holds in this room only")  # fmt: skip
-    p.add_argument("--adapt", type=float, default=None, metavar="S", help="adapt per-flight parameters on S seconds")
+    adapt_option(p)
     horizon_options(p)
     p.add_argument("--effects-file", nargs="+", default=[], metavar="F.py",
                    help="effects of your own in the model, and the laws of model_with_laws.json")  # fmt: skip
@@ -49,7 +49,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--seed", type=int, default=0, help="seed of subsets and restarts")
     p.add_argument("--out", default="greybox-learn", metavar="DIR", help="folder for the results")
     mcap_option(p)
-    p.add_argument("--json", metavar="F", default=None, help="also write learn.json to F ('-': standard output)")
+    json_option(p, "learn.json")
     p.set_defaults(run=run)
 
 
@@ -57,21 +57,18 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, learn, validate before and after, report."""
     from greybox.commands.learn_output import RESULTS, is_linear, run_output
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.layer import physics_of
     from greybox.model.verdict import NOT_JUDGED
-    from greybox.progress import TimeLeft
     from greybox.report.learn_report import learn_report
     from greybox.residual.files import save_model
     from greybox.residual.learn import learn
     from greybox.residual.train import check_extra
     from greybox.validation.validate import validate
 
-    quiet = arguments.json == "-"
     if arguments.learner == "gp":
         check_extra()
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise GreyboxError("--adapt takes a time above zero", got=f"{arguments.adapt:g} s", fix="--adapt 5")
+    demand_adapt(arguments)
     points: int | str = arguments.points
     if points != "auto":
         try:
@@ -108,17 +105,11 @@ def run(arguments: argparse.Namespace) -> int:
         for paths in (arguments.train, arguments.test)
     )
     demand_disjoint(train, test)
-
-    left = TimeLeft()
-
-    def progress(text: str, share: float) -> None:
-        if not quiet:
-            print(f"  {100 * share:3.0f} %  {text}{left.after(share)}", file=sys.stderr, flush=True)
-
+    console = Console.of(arguments)
     names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
     learned = learn(
         model, train, features=names, place=arguments.place, kernel=arguments.kernel, points=points,
-        learner=arguments.learner, seed=arguments.seed, progress=progress,
+        learner=arguments.learner, seed=arguments.seed, progress=console.share,
     )  # fmt: skip
     content = learned.to_dict()
     content["command"] = typed("learn")
@@ -135,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     checked: dict[str, Any] = {}
     verdict = None
     for label, candidate in (("before", model), ("after", learned.model)):
-        progress(f"validate {label}", 1.0)
+        console.share(f"validate {label}", 1.0)
         try:
             seen = validate(candidate, judged, **horizons, adapt=arguments.adapt)
             checked[label], verdict = seen.to_dict(), seen.verdict
@@ -153,14 +144,8 @@ def run(arguments: argparse.Namespace) -> int:
     report = write_atomic(out / "report.html", page)
     adapted = ((checked.get("after") or {}).get("adapted_on") or {}).get("flights")
     write_if_asked(arguments.mcap, hybrid, train, test, adapted=adapted)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        print(NOT_JUDGED if verdict is None else verdict.line)
-        for warning in content["warnings"]:
-            print(f"warning: {warning}")
-        print(learned.summary())
-        print(f"wrote hybrid.json, learn.json and {report.name} in {out}")
+    console.result(
+        content, NOT_JUDGED if verdict is None else verdict.line, *(f"warning: {w}" for w in content["warnings"]),
+        learned.summary(), f"wrote hybrid.json, learn.json and {report.name} in {out}",
+    )  # fmt: skip
     return exit_code(verdict)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console
 
 RESULTS = ("report.html", "learn.json", "hybrid.json")
 """Files of the command."""
@@ -31,15 +31,16 @@ def run_output(arguments: argparse.Namespace) -> int:
     from greybox.baselines.output_judge import judge
     from greybox.baselines.output_residual import fit_output_residual, read_linear
     from greybox.commands.judgement import given_horizons, horizon_steps
+    from greybox.commands.own_model import demand_disjoint
     from greybox.data import Dataset
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, withdraw, write_atomic, write_json
+    from greybox.files import withdraw, write_atomic, write_json
     from greybox.model.identified import library_versions
     from greybox.model.vehicle import read_vehicle
     from greybox.report.output_report import output_report
     from greybox.residual.learners import GP
 
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     given_horizons(arguments)  # what is wrong with them is said before logs are read
     models, inputs, outputs, trained_on = read_linear(arguments.model, channels=arguments.channels)
     vehicle = read_vehicle(arguments.vehicle) if arguments.vehicle else None
@@ -51,23 +52,14 @@ def run_output(arguments: argparse.Namespace) -> int:
         if arguments.test
         else Dataset(flights=())
     )
-    both = sorted(set(train.names) & set(test.names))
-    if both:
-        raise GreyboxError(
-            f"flight {', '.join(both)} is both train and test", fix="give every flight to one of the two"
-        )
-
-    def progress(text: str, share: float) -> None:
-        if not quiet:
-            print(f"  {100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
-
+    demand_disjoint(train, test)
     names = tuple(n.strip() for n in arguments.inputs.split(",") if n.strip()) if arguments.inputs else None
     points: Any = arguments.points if arguments.points == "auto" else int(arguments.points)
     terms = {s.name: s.terms for s in inputs}
     base, channels = combined(models, terms)
     hybrid = fit_output_residual(
         base, train, channels=channels, features=names, kernel=arguments.kernel, points=points, adapt=arguments.adapt,
-        learner=arguments.learner, seed=arguments.seed, guard=arguments.guard, progress=progress,
+        learner=arguments.learner, seed=arguments.seed, guard=arguments.guard, progress=console.share,
     )  # fmt: skip
     out = Path(arguments.out)
     withdraw(out, *RESULTS)
@@ -95,22 +87,17 @@ def run_output(arguments: argparse.Namespace) -> int:
         "warnings": warnings, "versions": library_versions(),
     }  # fmt: skip
     write_json(out / "learn.json", content)
-    progress("validate", 1.0)
+    console.share("validate", 1.0)
     try:
         content["validation"] = judge(hybrid, judged, spread=spread, horizons=horizons)
     except GreyboxError as error:
         warnings.append(f"no validation: {error}")
     write_json(out / "learn.json", content)
     report = write_atomic(out / "report.html", output_report(content))
-    if quiet:
-        sys.stdout.write(dump_json(content))
-        return 0
-    if arguments.json:
-        write_json(arguments.json, content)
-    for warning in warnings:
-        print(f"warning: {warning}")
-    print(_summary(content))
-    print(f"wrote hybrid.json, learn.json and {report.name} in {out}")
+    console.result(
+        content, *(f"warning: {w}" for w in warnings), _summary(content),
+        f"wrote hybrid.json, learn.json and {report.name} in {out}",
+    )  # fmt: skip
     return 0
 
 

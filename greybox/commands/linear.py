@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from greybox.commands.console import Console, json_option
 from greybox.commands.judgement import given_horizons, horizon_options, horizon_steps
 
 
@@ -45,20 +46,20 @@ def add(subparsers: Any) -> None:
     horizon_options(p)
     p.add_argument("--profile", action="store_true", help="profile likelihood intervals of all poles (takes longer)")
     p.add_argument("--out", default="greybox-linear", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write fit.json to F ('-': standard output)")
+    json_option(p, "fit.json")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, identify, validate, report. Returns 0, or 1 where a fit did not converge."""
     from greybox.errors import DataError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
     from greybox.linear.logs import parse_channels, read_records
     from greybox.linear.validation import Identified, validate_linear
     from greybox.model.vehicle import read_vehicle
     from greybox.report.linear_report import linear_report
 
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     inputs, outputs = parse_channels(arguments.inputs, "inputs"), parse_channels(arguments.outputs, "outputs")
     both = sorted({s.name for s in inputs} & {s.name for s in outputs})
     if both:
@@ -99,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     results: list[Identified] = []
     for columns, rows in groups:
         fit = _fit(arguments, train, inputs, outputs, columns, rows, order, delays)
-        if not quiet:
+        if not console.quiet:
             said = [fit.model.name, fit.summary(), *([] if fit.order_choice is None else [fit.order_choice.format()])]
             # In one piece: an interrupt between a text and its end of line would leave half a line.
             print("\n".join([*said, ""]), end="")
@@ -139,16 +140,10 @@ def run(arguments: argparse.Namespace) -> int:
         out / "model.json", models[0] if len(models) == 1 else {"schema": "greybox.linear_models/1", "models": models}
     )
     write_atomic(out / "report.html", html)
-    if arguments.json and not quiet:
-        write_json(arguments.json, content)
-    if quiet:
-        print(dump_json(content), end="")
-    else:
-        for r in results:
-            print(r.format())
-        for note in content["notes"]:
-            print(f"note: {note}")
-        print(f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}")
+    console.result(
+        content, *(r.format() for r in results), *(f"note: {n}" for n in content["notes"]),
+        f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}",
+    )  # fmt: skip
     bad = [r.fit.model.name for r in results if not r.fit.status.final]
     if bad:
         print(f"not converged: {', '.join(bad)}", file=sys.stderr)

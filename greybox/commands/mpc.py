@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 
 
 def add(subparsers: Any) -> None:
@@ -48,7 +47,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--out", default="greybox-mpc", metavar="DIR", help="folder for the results")
     p.add_argument("--mcap", metavar="F.mcap", default=None, help="also write the watched flights with their plans, for "
                    "Foxglove, Rerun or PlotJuggler")  # fmt: skip
-    p.add_argument("--json", metavar="F", default=None, help="also write mpc.json to F ('-': standard output)")
+    json_option(p, "mpc.json")
     p.set_defaults(run=run)
 
 
@@ -69,7 +68,7 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Prepare, fly, report; what was flown is reported even when interrupted. Returns 0, or 1 where it refuses."""
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
 
     _check(arguments)
     if arguments.subject == "rates":
@@ -98,14 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mpc_export.mission.prepare import Demo, prepare
     from mpc_export.mission.summary import summary
 
-    quiet = arguments.json == "-"
-    began = time.perf_counter()
-    out = Path(arguments.out)
-
-    def say(text: str) -> None:
-        if not quiet:
-            print(f"  {time.perf_counter() - began:4.0f} s  {text}", file=sys.stderr, flush=True)
-
+    console, out = Console.of(arguments), Path(arguments.out)
     command = typed("mpc", f"greybox mpc {shlex.quote(arguments.subject)}")
     demo = None
     if arguments.subject == "demo":
@@ -116,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.subject, out, demo=demo,
         plant=arguments.plant, logs=arguments.log, course=arguments.course, pace=arguments.pace,
         risk=arguments.risk,
-        flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=say,
+        flights_=arguments.flights, level=arguments.level, seed=arguments.seed, jobs=arguments.jobs, say=console.say_when,
     )  # fmt: skip
     judged.say("mpc")
     campaign, watched = flown.hangar.campaign, flown.seeds[:WATCHED]
@@ -139,17 +131,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     arguments.kept = f"what was flown is in {out}; the same command goes on"
     try:
-        flights(flown.hangar, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=say)
+        flights(flown.hangar, flown.entries, flown.seeds, jobs=arguments.jobs, watched=watched, say=console.say_when)
     except KeyboardInterrupt:
         report(["The run was interrupted: run the same command again to go on."])
         raise
     content = report([])
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    elif arguments.json:
-        write_json(arguments.json, content)
-    if not quiet:
-        print(format_table(content))
-        print(content["verdict"])
-        print(f"wrote flights.jsonl, mpc.json and report.html in {out} ({time.perf_counter() - began:.0f} s)")
+    written = f"wrote flights.jsonl, mpc.json and report.html in {out} ({console.seconds:.0f} s)"
+    console.result(content, format_table(content), content["verdict"], written)
     return 0

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console
 
 OTHERS: dict[str, Any] = {
     "plant": None, "log": [], "course": "mpc_export.mission:OBSTACLE_COURSE", "pace": None, "jobs": 1,
@@ -27,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--{name.replace('_', '-')} belongs to a model that flies a course", got="rates",
                 fix="leave it out, or name a model.json",
             )  # fmt: skip
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
     from greybox.report.rates_report import rates_report
     from mpc_export.mission import judging
     from mpc_export.rates.campaign import (
@@ -42,14 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from mpc_export.rates.craft import DT
 
-    quiet, out = arguments.json == "-", Path(arguments.out)
-    began = time.perf_counter()
-
-    def say(text: str) -> None:
-        if not quiet:
-            print(f"  {time.perf_counter() - began:4.0f} s  {text}", file=sys.stderr, flush=True)
-
-    flown = prepare(out, arguments.level, say)
+    console, out = Console.of(arguments), Path(arguments.out)
+    flown = prepare(out, arguments.level, console.say_when)
     seeds = judging(arguments.flights, arguments.seed)
     watched = seeds[:WATCHED]
 
@@ -61,17 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     arguments.kept = f"what was flown is in {out}; the same command goes on"
     try:
-        flights(flown, list(TEXTS), seeds, say=say, watched=watched)
+        flights(flown, list(TEXTS), seeds, say=console.say_when, watched=watched)
     except KeyboardInterrupt:
         report()
         raise
     content = report()
-    if quiet:
-        sys.stdout.write(dump_json(content))
-        return 0
-    if arguments.json:
-        write_json(arguments.json, content)
-    print(format_table(content))
-    print(content["verdict"])
-    print(f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({time.perf_counter() - began:.0f} s)")
+    written = f"wrote flights.jsonl, mpc_rates.json and report.html in {out} ({console.seconds:.0f} s)"
+    console.result(content, format_table(content), content["verdict"], written)
     return 0

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.model_options import names, noise_levels, values
 from greybox.commands.own_model import loaded, model_file_option
 
@@ -79,7 +80,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--setpoints-only", action="store_true", help="only manoeuvres that need no injected signals")
     p.add_argument("--seed", type=int, default=0, help="seed of the multi-sines' phases")
     p.add_argument("--out", default="greybox-plan", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write plan.json to F ('-': standard output)")
+    json_option(p, "plan.json")
     p.set_defaults(run=run)
 
 
@@ -88,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     from greybox.errors import GreyboxError, ModelError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
     from greybox.model.effects_file import load_effects
     from greybox.model.layer import physics_of
     from greybox.model.vehicle import read_vehicle
@@ -130,14 +131,14 @@ def run(arguments: argparse.Namespace) -> int:
         box=arguments.box, floor=arguments.floor, speed=arguments.speed, tilt=float(np.radians(arguments.tilt)),
         command=arguments.range or command_range(vehicle),
     )  # fmt: skip
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     found = plan(
         None if model else vehicle, model=model, effects=[own.get(n, n) for n in arguments.effects],
         seconds=arguments.seconds, piece=arguments.piece, flights=arguments.flights, limits=limits, free=arguments.free,
         values=arguments.value,
         noise=arguments.noise, sensors=arguments.sensors, sample_time=1 / arguments.rate if arguments.rate else None,
         setpoints_only=arguments.setpoints_only, seed=arguments.seed,
-        say=None if quiet else lambda text: print(f"  {text}", file=sys.stderr),
+        say=lambda text: console.say(f"  {text}"),
     )  # fmt: skip
     content = found.to_dict()
     content["command"] = typed("plan")
@@ -152,13 +153,9 @@ def run(arguments: argparse.Namespace) -> int:
     write_atomic(out / "plan.png", plan_picture(content, both))
     write_atomic(out / "report.html", plan_report(content, both))
     write_json(out / "plan.json", content)
-    if quiet:
-        sys.stdout.write(dump_json(content))
-    else:
-        if arguments.json:
-            write_json(arguments.json, content)
-        print(found.summary())
-        print(f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}")
+    console.result(
+        content, found.summary(), f"wrote plan.json, {len(both)} flight(s) as CSV, plan.png and report.html in {out}"
+    )
     blind = [n for n in found.subject.wanted if not np.isfinite(found.errors[n][0])]
     return 1 if blind else 0
 
@@ -179,7 +176,7 @@ def _run_own(arguments: argparse.Namespace, model: Any) -> int:
     import numpy as np
 
     from greybox.errors import GreyboxError
-    from greybox.files import dump_json, write_atomic, write_json
+    from greybox.files import write_atomic, write_json
     from greybox.planning.own_plan import plan_own
     from greybox.planning.setpoints import csv
 
@@ -196,11 +193,7 @@ def _run_own(arguments: argparse.Namespace, model: Any) -> int:
     segment = found.log.flights[0].segments[0]
     write_atomic(out / "experiment_1.csv", csv({"t": np.asarray(segment.t), **segment.channels}))
     write_json(out / "plan.json", content)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(content))
-    else:
-        if arguments.json:
-            write_json(arguments.json, content)
-        print(found.summary())
-        print(f"wrote plan.json and experiment_1.csv (inputs to play, outputs to expect) in {out}")
+    Console.of(arguments).result(
+        content, found.summary(), f"wrote plan.json and experiment_1.csv (inputs to play, outputs to expect) in {out}"
+    )
     return 1 if found.blind else 0

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.commands.command_line import typed
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
 from greybox.commands.model_options import names
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
@@ -37,7 +37,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--effects-file", nargs="+", default=[], metavar="E.py", help="effects of your own in the model")
     model_file_option(p)
     p.add_argument("--out", default="greybox-profile", metavar="DIR", help="folder for the results")
-    p.add_argument("--json", metavar="F", default=None, help="also write profile.json to F ('-': standard output)")
+    json_option(p, "profile.json")
     p.set_defaults(run=run)
 
 
@@ -47,20 +47,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     from greybox.commands.front_door import profile
     from greybox.errors import DataError
-    from greybox.files import dump_json, write_atomic, write_json
-    from greybox.progress import TimeLeft
+    from greybox.files import write_atomic, write_json
     from greybox.report.profile_report import profile_report
 
     if not 0 < arguments.level < 1:
         raise DataError("--level", expected="a probability", got=f"{arguments.level:g}", fix="--level 0.95")
-    quiet = arguments.json == "-"
+    console = Console.of(arguments)
     found = _fitted(arguments)
     profiles = []
-    left = TimeLeft()
     for k, name in enumerate(arguments.of):
-        if not quiet:
-            rest = left.after(k / len(arguments.of))
-            print(f"  {name} ({k + 1} of {len(arguments.of)}){rest}", file=sys.stderr, flush=True)
+        console.share(f"{name} ({k + 1} of {len(arguments.of)})", k / len(arguments.of))
         profiles.append(profile(found, name, level=arguments.level))
     out = Path(arguments.out)
     content = {
@@ -70,13 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     }  # fmt: skip
     write_json(out / "profile.json", content)
     write_atomic(out / "report.html", profile_report(content))
-    if quiet:
-        sys.stdout.write(dump_json(content))
-    else:
-        if arguments.json:
-            write_json(arguments.json, content)
-        print("\n".join(_line(p, found) for p in profiles))
-        print(f"wrote profile.json and report.html in {out}")
+    console.result(content, *(_line(p, found) for p in profiles), f"wrote profile.json and report.html in {out}")
     return 0 if all(math.isfinite(p.lower) and math.isfinite(p.upper) for p in profiles) else 1
 
 

@@ -7,6 +7,8 @@ import argparse
 import sys
 from typing import Any
 
+from greybox.commands.console import Console, json_option
+
 NAMES = (
     "numpy",
     "jax",
@@ -94,14 +96,13 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--even-so", action="store_true", help="go on although the model was judged not usable"
     )
-    p.add_argument("--json", metavar="FILE", help="write the statement; - for standard output")
+    json_option(p, "the statement")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, judge, write, say what is left out. Returns 0, or 1 where the model is not usable."""
     from greybox.errors import DataError, UnknownNameError
-    from greybox.files import dump_json, write_json
     from greybox.simulators.make import twin
 
     if arguments.compare:
@@ -137,13 +138,8 @@ def run(arguments: argparse.Namespace) -> int:
         train=train,
         check=flights,
     )
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(made.to_dict()))
-        return 0
-    print(made.summary())
-    print(f"\nwritten: {len(made.files) + 1} files in {arguments.out}")
-    if arguments.json:
-        write_json(arguments.json, made.to_dict())
+    written = f"\nwritten: {len(made.files) + 1} files in {arguments.out}"
+    Console.of(arguments).result(made.to_dict(), made.summary(), written)
     return 0
 
 
@@ -191,7 +187,6 @@ def _flights(model: Any, logs: list[str], known: tuple[str, ...]) -> Any:
 
 def _compare(arguments: argparse.Namespace) -> int:
     """Say what has changed between two models. Returns 0, or 1 where one is not usable."""
-    from greybox.files import dump_json, write_json
     from greybox.simulators.compare import compare
 
     if arguments.model is not None or arguments.out is not None:
@@ -205,10 +200,5 @@ def _compare(arguments: argparse.Namespace) -> int:
     if any(m is None for m in models):
         return 1
     found = compare(*models)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(found.to_dict()))
-        return 0
-    print(found.summary())
-    if arguments.json:
-        write_json(arguments.json, found.to_dict())
+    Console.of(arguments).result(found.to_dict(), found.summary())
     return 0

@@ -7,11 +7,11 @@ import itertools
 import sys
 from typing import Any
 
+from greybox.commands.console import Console, json_option
 from greybox.commands.flight_logs import flight_log_options
-from greybox.commands.judgement import exit_code, given_horizons, horizon_options
+from greybox.commands.judgement import adapt_option, demand_adapt, exit_code, given_horizons, horizon_options
 from greybox.commands.mcap_option import mcap_option, need_mcap, need_ulog, write_if_asked
 from greybox.commands.own_model import loaded, model_file_option, read_flights_of
-from greybox.errors import DataError
 
 
 def add(commands: Any) -> None:
@@ -27,9 +27,7 @@ def add(commands: Any) -> None:
     p.add_argument("--log", nargs="+", required=True, metavar="LOG", help="flight logs of the model's vehicle")
     flight_log_options(p)
     horizon_options(p)
-    p.add_argument(
-        "--adapt", type=float, metavar="S", help="fit per-flight parameters on the first S seconds of each flight"
-    )
+    adapt_option(p)
     p.add_argument(
         "--measured-start", action="store_true", help="also start from the measured state (smoothed channels included)"
     )
@@ -42,18 +40,16 @@ def add(commands: Any) -> None:
     mcap_option(p)
     p.add_argument("--ulog", metavar="F.ulg", default=None, help="also write the flights (ground truth) beside the model's "
                    "predictions (estimate) for PX4 Flight Review")  # fmt: skip
-    p.add_argument("--json", metavar="FILE", help="write the machine-readable result; - for standard output")
+    json_option(p, "the judgement")
     p.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Validate and print. Returns 0, or 1 where the model is not usable."""
-    if arguments.adapt is not None and not arguments.adapt > 0:
-        raise DataError("--adapt", expected="a positive number of seconds", got=f"{arguments.adapt:g}")
+    demand_adapt(arguments)
     need_mcap(arguments.mcap)
     need_ulog(arguments.ulog)
     from greybox.commands.ulog_out import need_topic, write_ulog
-    from greybox.files import dump_json, write_json
     from greybox.model.layer import physics_of
     from greybox.progress import TimeLeft
     from greybox.validation.validate import validate
@@ -83,11 +79,5 @@ def run(arguments: argparse.Namespace) -> int:
     write_if_asked(arguments.mcap, model, dataset, adapted=adapted)
     if arguments.ulog is not None:
         write_ulog(arguments.ulog, model, dataset, adapted=adapted)
-    if arguments.json == "-":
-        sys.stdout.write(dump_json(result.to_dict()))
-        return exit_code(result.verdict)
-    print(result.format())
-    if arguments.json:
-        write_json(arguments.json, result.to_dict())
-        print(f"written: {arguments.json}")
+    Console.of(arguments).result(result.to_dict(), result.format())
     return exit_code(result.verdict)

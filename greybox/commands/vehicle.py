@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from greybox.commands.console import Console, json_option
+
 TEMPLATES = {
     "crazyflie": "Crazyflie 2.1, 27 g, measured by Förster (2015)",
     "racer250": "250 mm racing quadrotor of 0.75 kg (Agilicious, 2022)",
@@ -59,7 +61,7 @@ def add(subparsers: Any) -> None:
         "motor lag, sigmas, slips of unit. Exit code 0: nothing blocks; 1: no craft is like that; 2: not a vehicle file.",
     )
     check.add_argument("vehicle", metavar="V.toml", help="vehicle file")
-    check.add_argument("--json", metavar="F", help="write the result as JSON to this file (- = standard output)")
+    json_option(check, "the findings")
     check.set_defaults(run=run_check)
 
 
@@ -155,13 +157,15 @@ def ask(reply: Callable[[str], str]) -> tuple[str, dict[str, Any]]:
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Judge the file, print the findings, write the JSON. Returns 0, or 1 where something blocks."""
-    from greybox.commands.judgement import tell
     from greybox.data.readers.mapping import mapping_text
     from greybox.model.plausibility import check_vehicle
     from greybox.model.vehicle import columns_by_channel, read_vehicle
 
     vehicle = read_vehicle(arguments.vehicle)
+    lines = []
     if columns_by_channel(arguments.vehicle):
-        print("[columns] by group, in place of what the file holds:")
-        print(mapping_text(vehicle.columns.to_dict(), prefix="columns."))
-    return tell(check_vehicle(vehicle), arguments.json)
+        lines += ["[columns] by group, in place of what the file holds:"]
+        lines += [mapping_text(vehicle.columns.to_dict(), prefix="columns.")]
+    report = check_vehicle(vehicle)
+    Console.of(arguments).result(report.to_dict(), *lines, report.summary())
+    return 0 if report.ok else 1

@@ -152,6 +152,15 @@ def test_the_check_prints_and_stores_what_is_believed(tmp_path, capsys):
     assert {"quantity": "mass", "value": 0.5, "sigma": 0.005, "why": "default"} in content["beliefs"]
 
 
+def test_the_checks_json_stands_alone_also_for_columns_in_the_form_of_before(tmp_path, capsys):
+    path = tmp_path / "v.toml"
+    path.write_text(template_text("x") + '\n[columns]\nt = "time"\np = "gyro_x"\n')
+    assert main(["vehicle", "check", str(path)]) == 0
+    assert "[columns] by group" in capsys.readouterr().out
+    assert main(["vehicle", "check", str(path), "--json", "-"]) == 0
+    jsonschema.validate(json.loads(capsys.readouterr().out), SCHEMA)
+
+
 def test_sizes_scale_the_generic_templates():
     small = Vehicle.from_dict(tomllib.loads(vehicle_text("plus", {"mass": 0.03, "arm": 0.046, "hover": 0.7})))
     report = check_vehicle(small)

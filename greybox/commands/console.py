@@ -1,0 +1,66 @@
+"""What a command tells: progress on standard error, its result on standard output, and the JSON of --json."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+
+def json_option(p: Any, content: str) -> None:
+    """Declare --json, which hands `content` (fit.json, "the statement") to programs."""
+    p.add_argument("--json", metavar="F", default=None, help=f"also write {content} to F ('-': standard output)")
+
+
+class Console:
+    """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or None), nothing else is
+    said there or on standard error."""
+
+    def __init__(self, json: str | None) -> None:
+        from greybox.progress import TimeLeft
+
+        self.json = json
+        self.quiet = json == "-"
+        self._began = time.perf_counter()
+        self._left = TimeLeft()
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace) -> Console:
+        """That of a command with --json."""
+        return cls(arguments.json)
+
+    @property
+    def seconds(self) -> float:
+        """[s] since the console was opened."""
+        return time.perf_counter() - self._began
+
+    def say(self, text: str) -> None:
+        """A line about what is being done."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def say_when(self, text: str) -> None:
+        """The same, after the seconds that have passed."""
+        self.say(f"  {self.seconds:4.0f} s  {text}")
+
+    def share(self, text: str, share: float) -> None:
+        """What is being done, and the share of all (0 to 1) that is."""
+        self.say(f"  {100 * share:3.0f} %  {text}{self._left.after(share)}")
+
+    def solver(self, iteration: int, cost: float, decrement: float) -> None:
+        """An iteration of a solver."""
+        rest = self._left.after_step(iteration, decrement)
+        self.say(f"  iteration {iteration:3d}  cost {cost:14.4f}  expected decrease {decrement:.3g}{rest}")
+
+    def result(self, content: Mapping[str, Any], *lines: str) -> None:
+        """`content` as JSON where it was asked for, and `lines` for people. Raises `OutputError`."""
+        from greybox.files import dump_json, write_json
+
+        if self.quiet:
+            sys.stdout.write(dump_json(content))
+            return
+        if self.json:
+            write_json(self.json, content)
+        print("\n".join(lines))
