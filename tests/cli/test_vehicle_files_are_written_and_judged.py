@@ -152,6 +152,7 @@ def test_the_check_prints_and_stores_what_is_believed(tmp_path, capsys):
     assert {"quantity": "mass", "value": 0.5, "sigma": 0.005, "why": "default"} in content["beliefs"]
 
 
+@pytest.mark.filterwarnings("ignore::greybox.errors.OldFormWarning")
 def test_the_checks_json_stands_alone_also_for_columns_in_the_form_of_before(tmp_path, capsys):
     path = tmp_path / "v.toml"
     path.write_text(template_text("x") + '\n[columns]\nt = "time"\np = "gyro_x"\n')
