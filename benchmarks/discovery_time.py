@@ -75,8 +75,12 @@ def main() -> None:
             if not options.cold:
                 rows.append(_child(row, cache) | {"cache": "filled"})
                 print(rows[-1], flush=True)
+    # What was not run again stays.
+    path, new = RESULTS / "discovery_time.json", {(r["row"], r["cache"]) for r in rows}
+    kept = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = [r for r in kept if (r["row"], r["cache"]) not in new] + rows
     about = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
-    (RESULTS / "discovery_time.json").write_text(json.dumps({"about": about, "rows": rows}, indent=1) + "\n")
+    path.write_text(json.dumps({"about": about, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -331,6 +331,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--l4casadi-python", help="interpreter of an environment that has l4casadi")
     parser.add_argument("--points", type=int, default=100)
+    parser.add_argument("--out", type=Path, metavar="F.json", help="default: its file in results")
     options = parser.parse_args()
     if not shutil.which("gcc"):
         raise SystemExit("gcc is needed")
@@ -358,7 +359,7 @@ def main() -> None:
     for k, (v, t) in found.items():
         print(f"{k:50s} {v:8.2f}  target {t}")
     name = "export_speed.json" if options.points == 100 else f"export_speed_{options.points}.json"
-    (HERE / "results" / name).write_text(json.dumps(text, indent=1) + "\n")
+    (options.out or HERE / "results" / name).write_text(json.dumps(text, indent=1) + "\n")
 
 
 if __name__ == "__main__":

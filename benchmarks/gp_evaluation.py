@@ -8,6 +8,7 @@ call through CasADi's buffer interface, best of several runs, one thread. "all" 
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -89,6 +90,9 @@ def microseconds(function: Any) -> float:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=RESULTS / "gp_evaluation.json", metavar="F.json")
+    options = parser.parse_args()
     rows = []
     for points in (50, 100):
         for share in (False, True):
@@ -106,7 +110,7 @@ def main() -> None:
                 rows.append(row)
                 print(row, flush=True)
     text = {"question": __doc__.splitlines()[0], "unit": "us", "machine": platform.machine(), "rows": rows}
-    (RESULTS / "gp_evaluation.json").write_text(json.dumps(text, indent=1) + "\n")
+    options.out.write_text(json.dumps(text, indent=1) + "\n")
 
 
 if __name__ == "__main__":

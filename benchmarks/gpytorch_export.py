@@ -118,6 +118,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=100)
     parser.add_argument("--inputs", type=int, default=10)
     parser.add_argument("--l4casadi-python", help="interpreter of an environment that has l4casadi")
+    parser.add_argument("--out", type=Path, metavar="F.json", help="also write the times [us]")
     options = parser.parse_args()
     model, likelihood = made(options.points, options.inputs)
     z = np.random.default_rng(1).standard_normal(options.inputs)
@@ -139,6 +140,8 @@ def main() -> None:
     print(f"{options.points} training points, {options.inputs} inputs; read and checked in {seconds:.2f} s")
     for label, value in rows.items():
         print(f"{label:50s} " + ("not run" if value is None else f"{value:10.2f} us {value / best:8.1f} x"))
+    if options.out:
+        options.out.write_text(json.dumps({"microseconds": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -202,7 +202,7 @@ def vm_residual(problem: Any, kind: str) -> tuple[Any, Any]:
     import casadi as ca
 
     d, record = problem.dynamics, problem.records[0]
-    riccati = problem.predictor.riccati(problem, problem.start, False)
+    riccati = problem.prepared(problem.predictor)
     gain, covariance, _, _ = riccati.gain(record.patterns[0])
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     sym = {"SX": ca.SX, "MX": ca.MX}[kind]

@@ -1,0 +1,36 @@
+"""The table of ratios reads the benchmarks' files, and says what became slower beside its peers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import ratios
+
+RESULTS = Path(ratios.__file__).resolve().parent / "results"
+
+
+@pytest.mark.parametrize("name", ["export_speed", "gp_evaluation", "innovation_fit", "linear_peers"])
+def test_the_files_of_the_benchmarks_give_positive_ratios(name: str):
+    taken, _ = ratios.BENCHMARKS[name]
+    found = taken(json.loads((RESULTS / f"{name}.json").read_text()))
+    assert found and all(r > 0 for r in found.values())
+
+
+def test_only_what_fell_by_more_than_the_share_is_said():
+    before = {"a": {"peer": 10.0, "other": 4.0}, "b": {"peer": 2.0}}
+    now = {"a": {"peer": 6.9, "other": 2.9, "new": 0.1}, "c": {"peer": 1.0}}
+    assert ratios.fallen(now, before) == ["a: peer: 10 -> 6.9"]
+
+
+def test_the_committed_table_has_every_benchmark_its_date_and_machine():
+    table = json.loads(ratios.COMMITTED.read_text())
+    assert list(table["ratios"]) == list(ratios.BENCHMARKS)
+    assert len(table["date"]) == 10 and table["machine"]["processor"] and table["machine"]["cores"] >= 1
+
+
+@pytest.mark.slow
+def test_no_ratio_fell_since_the_table_was_written():
+    assert ratios.main(["--compare"]) == 0
