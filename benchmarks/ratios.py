@@ -1,7 +1,8 @@
 """How many times slower are the peers, all in one table, and did any ratio fall since it was last written down?
 
 Runs the benchmarks that need no other environment, each in a process of its own and at its smallest size, and takes from
-each the time of a peer over ours: both were measured in the same run, so that the machine hardly counts. About six minutes.
+each the time of a peer over ours, both measured in the same run. Other work on the machine then hardly counts; the width of
+its vector unit does, of which ours makes more use, so that the kind of machine stands beside the table. About six minutes.
 `--compare` writes nothing and ends with 1 where a ratio fell by more than 30 %.
 
     python -m benchmarks.ratios [--only export_speed,innovation_fit] [--compare]
@@ -57,19 +58,11 @@ def innovation_fit(found: Mapping[str, Any]) -> Ratios:
     return {f"{r['who']}, solution": r["ratio_solve"] for r in found["rows"] if r["who"].startswith("scipy")}
 
 
-def linear_peers(found: Mapping[str, Any]) -> Ratios:
-    """Subspace estimate and prediction errors of a linear system of order 4."""
-    rows = found["summary"]["SISO"]
-    own = rows["greybox subspace + PEM"]["median_seconds"]
-    return {f"{who}, order 4": r["median_seconds"] / own for who, r in rows.items() if not who.startswith("greybox")}
-
-
 BENCHMARKS: dict[str, tuple[Callable[[Mapping[str, Any]], Ratios], tuple[str, ...]]] = {
     "export_speed": (export_speed, ()),
     "gp_evaluation": (gp_evaluation, ()),
     "gpytorch_export": (gpytorch_export, ()),
     "innovation_fit": (innovation_fit, ("--only", "scipy", "--runs", "3")),
-    "linear_peers": (linear_peers, ("--systems", "SISO", "--seeds", "0", "--orders", "4")),
 }
 """Benchmark -> (what to take from its file, its options)."""
 
@@ -114,6 +107,9 @@ def main(argv: list[str] | None = None) -> int:
         now[name] = measured(name)
         for what, ratio in now[name].items():
             print(f"{name:16} {what:62} {ratio:9.2f} x", flush=True)
+    kind = before.get("machine", {}).get("processor", processor())
+    if kind != processor():
+        print(f"the table is of another kind of machine: {kind}, this is {processor()}", file=sys.stderr)
     lines = fallen(now, before["ratios"])
     for line in lines:
         print(f"fell by more than {FALL:.0%}: {line}", file=sys.stderr)

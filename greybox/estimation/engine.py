@@ -215,6 +215,8 @@ class Engine:
         after = d.step(0, x, window, p, w0, dt)
         y_hat = d.output(0, x, window, p, w0, dt)
         e = d.innovation(y, y_hat, x)
+        # What is written once is differentiated once.
+        after, e, y_hat = ca.cse([after, e, y_hat])
         into, out = chart_jacobians(d, x, after)
         a: Expr
         b: Expr
@@ -230,7 +232,7 @@ class Engine:
             ex, ep = ca.SX(self.ne, self.nd), ca.SX(self.ne, len(chosen))
         inputs = [x, window, y, p, dt]
         self.value = ca.Function(
-            "gb_value", inputs, [ca.densify(v) for v in ca.cse([after, e, y_hat])]
+            "gb_value", inputs, [ca.densify(v) for v in (after, e, y_hat)]
         )
         self.slope = ca.Function("gb_slope", inputs, [a, b, ex, ep])
         self.pred = ca.Function(

@@ -12,7 +12,7 @@ from benchmarks import ratios
 RESULTS = Path(ratios.__file__).resolve().parent / "results"
 
 
-@pytest.mark.parametrize("name", ["export_speed", "gp_evaluation", "innovation_fit", "linear_peers"])
+@pytest.mark.parametrize("name", ["export_speed", "gp_evaluation", "innovation_fit"])
 def test_the_files_of_the_benchmarks_give_positive_ratios(name: str):
     taken, _ = ratios.BENCHMARKS[name]
     found = taken(json.loads((RESULTS / f"{name}.json").read_text()))
@@ -27,7 +27,7 @@ def test_only_what_fell_by_more_than_the_share_is_said():
 
 def test_the_committed_table_has_every_benchmark_its_date_and_machine():
     table = json.loads(ratios.COMMITTED.read_text())
-    assert list(table["ratios"]) == list(ratios.BENCHMARKS)
+    assert set(table["ratios"]) == set(ratios.BENCHMARKS)
     assert len(table["date"]) == 10 and table["machine"]["processor"] and table["machine"]["cores"] >= 1
 
 
