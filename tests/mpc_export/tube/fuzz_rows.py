@@ -1,6 +1,7 @@
 """Fuzz of the tube MPC in stretches that add up: one row per seed, kept in a file.
 
     python -m tests.mpc_export.tube.fuzz_rows plans --seeds 300 309     # 25 000 plans of the compiled solver a seed
+    python -m tests.mpc_export.tube.fuzz_rows float --seeds 300 309     # the same in single precision
     python -m tests.mpc_export.tube.fuzz_rows samples --seeds 300 309   # 3000 samples of a pilot a seed
     python -m tests.mpc_export.tube.fuzz_rows                           # the sums, by version of the solver
 
@@ -24,12 +25,13 @@ from greybox.files import write_atomic
 from mpc_export.c_code import FAST_FLAGS
 from scenarios.studies.rows import read_rows
 from tests.mpc_export.tube.test_controller_flies_and_survives import pilot
-from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import program
+from tests.mpc_export.tube.test_no_measurement_moves_a_command_out_of_its_limits import in_float, program
 from tests.mpc_export.tube.wild import fuzzed
 
 ROWS = Path("scenarios/results/tube_fuzz.jsonl")
-STEPS = {"plans": 25_000, "samples": 3000}
-FILES = {"plans": "*.c", "samples": "*.[cp]*"}
+STEPS = {"plans": 25_000, "float": 25_000, "samples": 3000}
+FILES = {"plans": "*.c", "float": "*.c", "samples": "*.[cp]*"}
+PROGRAMS = {"plans": program, "float": in_float}
 BROKEN = ("outside", "not_finite", "changed", "raised", "lost")
 """What must be 0: steps beyond limits, not finite, refused but written to, that raised; stretches
 that a pilot who knows the true state brings home and this one does not."""
@@ -87,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         what, of = arguments.what, version(arguments.what)
         done = {r["seed"] for r in rows if (r["what"], r["version"]) == (what, of)}
         with tempfile.TemporaryDirectory() as folder:
-            command = program(Path(folder), FAST_FLAGS) if what == "plans" else []
+            command = PROGRAMS[what](Path(folder), FAST_FLAGS) if what in PROGRAMS else []
             for seed in range(arguments.seeds[0], arguments.seeds[1] + 1):
                 if seed not in done:
                     found = plans(command, STEPS[what], seed) if command else samples(STEPS[what], seed)
