@@ -58,11 +58,12 @@ def airborne(
         return everything, ("the motors never ran: take-off and landing not looked for",)
     level = float(np.median(mean[mean > 0.3 * top]))
     height = channels.get("z")
-    ground = _standing(t, mean / level, height)
-    keep = everything.copy()
-    for start, stop in ground:
-        first, last = _widened(t, mean / level, height, start, stop)
-        keep[first:last] = False
+    ground = _widened(t, mean / level, height, _standing(t, mean / level, height))
+    covers = np.zeros(t.size + 1, dtype=np.int64)
+    for first, last in ground:
+        covers[first] += 1
+        covers[last] -= 1
+    keep = np.cumsum(covers[:-1]) == 0
     if keep.sum() < max(2, 0.02 * t.size):
         return everything, ("no flight found by command and height: nothing cut",)
     notes = tuple(
@@ -110,21 +111,53 @@ def _standing(t: FloatArray, share: FloatArray, height: FloatArray | None) -> Se
     return sorted(idle)
 
 
-def _widened(t: FloatArray, share: FloatArray, height: FloatArray | None, start: int, stop: int) -> tuple[int, int]:
-    """The rows around a standing stretch that are not flight: up to the clear height, or the time margin."""
+def _widened(
+    t: FloatArray, share: FloatArray, height: FloatArray | None, stretches: Sequence[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """The rows around standing stretches that are not flight: up to the clear height, or the time margin."""
     strong = share >= 0.7
-    if height is not None:
-        seen = height[start:stop][np.isfinite(height[start:stop])]
-        flown = height[strong & np.isfinite(height)]
-        if seen.size and flown.size:
-            ground = float(np.median(seen))
-            clear = min(CLEAR_HEIGHT, 0.5 * (float(np.median(flown)) - ground))
-            if clear > FLAT:
-                high = np.flatnonzero(height > ground + clear)
-                before, after = high[high < start], high[high >= stop]
-                return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else t.size)
     flying = np.flatnonzero(strong)
-    before, after = flying[flying < start], flying[flying >= stop]
-    first = int(np.searchsorted(t, t[before[-1]] - MARGIN)) if before.size else 0
-    last = int(np.searchsorted(t, t[after[0]] + MARGIN)) if after.size else t.size
-    return first, last
+    flown = height[strong & np.isfinite(height)] if height is not None else np.zeros(0)
+    usual = float(np.median(flown)) if flown.size else np.nan
+    known = np.where(np.isnan(height), -np.inf, height) if height is not None else np.zeros(0)
+    ahead, behind = _tree(known), _tree(known[::-1])
+    out = []
+    for start, stop in stretches:
+        seen = known[start:stop][np.isfinite(known[start:stop])]
+        ground = float(np.median(seen)) if seen.size else np.nan
+        clear = float(np.minimum(CLEAR_HEIGHT, 0.5 * (usual - ground)))  # NaN where either is not known
+        if clear > FLAT:
+            first = t.size - _first_above(behind, t.size - start, ground + clear)
+            last = _first_above(ahead, stop, ground + clear)
+        else:
+            after = int(np.searchsorted(flying, stop))
+            before = int(np.searchsorted(flying, start)) - 1
+            first = int(np.searchsorted(t, t[flying[before]] - MARGIN)) if before >= 0 else 0
+            last = int(np.searchsorted(t, t[flying[after]] + MARGIN)) if after < flying.size else t.size
+        out.append((first, last))
+    return out
+
+
+def _tree(values: FloatArray) -> list[FloatArray]:
+    """The values (N,) and, level by level, the larger of every two neighbours: a log has as many stretches as
+    it is long, and each looks for its end."""
+    levels = [values]
+    while levels[-1].size > 1:
+        last = levels[-1]
+        levels.append(np.maximum(last[::2], np.append(last[1::2], [-np.inf] * (last.size % 2))))
+    return levels
+
+
+def _first_above(levels: Sequence[FloatArray], start: int, limit: float) -> int:
+    """First place from `start` on at which a value of the tree is above the limit; their number where none is."""
+    level, at = 0, start
+    while at < levels[level].size:
+        if levels[level][at] > limit:
+            while level:
+                level, at = level - 1, 2 * at
+                at += not levels[level][at] > limit
+            return at
+        at += 1
+        while at % 2 == 0 and level + 1 < len(levels):
+            level, at = level + 1, at // 2
+    return int(levels[0].size)

@@ -20,7 +20,9 @@ DISARMED = 0.02
 GROUNDED = 0.1
 """Mean command that is passed for less than a twentieth of the time: idling motors lift nothing."""
 STILL = 0.02
-"""Body rate [rad/s RMS] of a craft that stands."""
+"""Body rate [rad/s RMS] of a craft that stands ..."""
+SLOW = 0.3
+"""... and speed [m/s] that it passes for less than a twentieth of the time: an estimate wanders."""
 MEASURED = ("rate", "specific_force", "attitude", "position", "velocity")
 
 
@@ -52,6 +54,10 @@ def unfit(raw: RawLog, rates: Mapping[str, float]) -> Iterator[str]:
 def _stands(raw: RawLog) -> bool:
     if not all(n in raw.channels for n in "pqr"):
         return False
+    if all(n in raw.channels for n in ("vx", "vy", "vz")):
+        speed = np.sqrt(sum(raw.channels[n] ** 2 for n in ("vx", "vy", "vz")))
+        if np.isfinite(speed).any() and float(np.nanpercentile(speed, 95)) > SLOW:
+            return False  # a simulated hover turns less than a real one shakes
     rate = np.column_stack([raw.channels[n] for n in "pqr"])
     rate = rate[np.isfinite(rate).all(axis=1)]
     return bool(rate.size and float(np.sqrt(((rate - np.median(rate, axis=0)) ** 2).sum(axis=1).mean())) < STILL)

@@ -1,10 +1,13 @@
 """Samples that cannot be become missing, counted and listed; nothing else is changed.
 
 Three rules, one question: could the craft have done this? A value outside its channel's range; a
-rotor faster than 1.3 times its top speed; a single sample that stands apart from both its neighbours
-by more than the craft can move in that time (pose: by what velocity or gyro say; gyro: by what the
-rotors' torque can turn; specific force: by twice what they can push; rotor speed: by a motor that
-reaches its top speed in 20 ms; battery: by a fifth of its voltage).
+rotor faster than 1.3 times its top speed; a single sample that stands apart from both its neighbours,
+which agree, by more than two things allow:
+
+- the channel's own noise and bandwidth: the same distance at the samples around it and in the whole
+  flight. What a sensor sees of a motion that it can follow stands as far apart next to it;
+- what the rotors can add and take back in that time, from rest: full thrust is there after `RISE`,
+  so that a rate reaches a quarter of its square where the gap is shorter.
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ from greybox.data.resampling import continuous_signs
 from greybox.symbolic import BoolArray, FloatArray
 
 IntArray = npt.NDArray[np.int64]
-Explained = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""(times, gaps to the sample before, to the one after), (n,) [s] each -> how far motion goes, (n,)."""
+Possible = Callable[[FloatArray], FloatArray]
+"""Gap to the neighbours (n,) [s] -> how far the craft can go and be back, (n,)."""
 PLACE, SPEED, TURN = ("x", "y", "z"), ("vx", "vy", "vz"), ("p", "q", "r")
 ATTITUDE = ("qw", "qx", "qy", "qz")
 FORCE, BATTERY = ("ax", "ay", "az"), ("vbat",)
@@ -31,17 +34,23 @@ FORCE, BATTERY = ("ax", "ay", "az"), ("vbat",)
 OUTSIDE = "outside its range"
 OVERSPEED = 1.3
 """Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this much."""
-APART = 20.0
-"""Times the usual size of such steps (median absolute) from which a single sample stands apart."""
-MARGIN = 5.0
-"""Times the change that motion explains from which a single sample stands apart."""
-SPIN_UP = 0.1
-"""Time [s] in which a motor reaches its top speed: a fifth of it with the margin."""
+APART = 40.0
+"""Times the usual distance from the neighbours, in the flight and around the sample, from which it
+stands apart: twice what white noise, interpolated and filtered sensors of real flights come to."""
+AROUND = (2, 3, 4, 5)
+"""Samples before and after whose distances are those around: the fourth largest of eight, so that
+another lone sample among them hides none. A sine of any frequency stays below four times that."""
+PASSES = 10
+"""Samples that are found next to each other are judged again, at most so often."""
+RISE = 0.02
+"""Time [s] from no thrust to all of it: no motor is quicker."""
+MARGIN = 2.0
+"""Times what the vehicle file says of thrust and inertia."""
 SPIKES = 0.05
 """Share of a channel's samples up to which they are spikes; more is a fault of the channel (a unit, a
 scale), which stays for the data-fault check to name."""
-SAG = 0.04
-"""Change of a battery's voltage, as a share of it: a fifth with the margin."""
+SAG = 0.2
+"""Change of a battery's voltage under load, as a share of it."""
 
 
 def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
@@ -84,15 +93,15 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
                 limit = OVERSPEED * top
                 reason = f"beyond {OVERSPEED:g} times speed_max, {limit:.4g} rad/s"
                 drop((name,), ~outside & (values > limit), values, reason)
-    for names, limit_of in {**_of_motors(raw, top), **_explained(raw, vehicle)}.items():
+    for names, limit_of in {**_of_motors(raw, top), **_possible(set(raw.channels), vehicle)}.items():
         block = np.column_stack([new.get(n, raw.channels[n]) for n in names])
         rows = _measured(raw.t, block)
         known = block[rows]
         if names == ATTITUDE:
             known, _ = continuous_signs(known)  # q and -q are the same attitude
-        bad, size = np.zeros(raw.n, dtype=bool), np.zeros(raw.n)
-        bad[rows], size[rows] = _alone(raw.t[rows], known, limit_of)
-        drop(names, bad, size, "one sample that no motion of the craft explains")
+        size = np.zeros(raw.n)
+        size[rows] = _lone(raw.t[rows], known, limit_of)
+        drop(names, size > 0.0, size, "one sample that no motion of the craft explains")
     if not removed:
         return raw
     notes = (*raw.notes, *(r.line() for r in removed))
@@ -113,69 +122,85 @@ def _measured(t: FloatArray, block: FloatArray) -> IntArray:
     return later
 
 
-def _of_motors(raw: RawLog, top: float | None) -> Mapping[tuple[str, ...], Explained]:
-    """The same for each rotor, whose top speed is `top` [rad/s], and for the battery."""
-    out: dict[tuple[str, ...], Explained] = {}
+def _of_motors(raw: RawLog, top: float | None) -> Mapping[tuple[str, ...], Possible]:
+    """How far each rotor, whose top speed is `top` [rad/s], and the battery can go and be back."""
+    out: dict[tuple[str, ...], Possible] = {}
     for name in raw.channels:
         if channel(name).group == "rotor_speed" and top is not None:
-            out[name,] = lambda t, a, b: top / SPIN_UP * 2.0 * a * b / (a + b)
+            out[name,] = lambda gap: top * np.minimum(gap / RISE, 1.0)
     if "vbat" in raw.channels and np.isfinite(raw.channels["vbat"]).any():
         usual = float(np.nanmedian(raw.channels["vbat"]))
-        out[BATTERY] = lambda t, a, b: np.full_like(a, SAG * usual)
+        out[BATTERY] = lambda gap: np.full_like(gap, SAG * usual)
     return out
 
 
-def _explained(raw: RawLog, vehicle: Airframe) -> Mapping[tuple[str, ...], Explained]:
-    """Channel group -> how far the craft can take a sample from the line between its neighbours."""
-    out: dict[tuple[str, ...], Explained] = {}
-    have = set(raw.channels)
+def _possible(have: set[str], vehicle: Airframe) -> Mapping[tuple[str, ...], Possible]:
+    """Channel group -> how far the rotors can take a sample from its neighbours and be back."""
     actuator = vehicle.actuator
     if not isinstance(actuator, ThrustMap) or not isinstance(vehicle, Weighed):
-        return out
+        return {}
     c0, c1, c2 = (c.value for c in actuator.thrust)
     thrust = (c0 + actuator.u_max * (c1 + actuator.u_max * c2)) * len(vehicle.rotors)
-    push = 2.0 * thrust / vehicle.mass.value + vehicle.gravity
+    push = MARGIN * thrust / vehicle.mass.value
     arm = max(float(np.hypot(r.position[0], r.position[1])) for r in vehicle.rotors)
-    twist = arm * thrust / min(float(vehicle.inertia[i][i]) for i in range(3))
-    if have.issuperset(FORCE):
-        out[FORCE] = lambda t, a, b: np.full_like(a, 2.0 * thrust / vehicle.mass.value / MARGIN)
-    # With the gaps a and b to the neighbours: a b / 2 times the second derivative, or
-    # 2 a b / (a + b) times the first where that may jump.
-    if have.issuperset(PLACE):
-        out[PLACE] = lambda t, a, b: 0.5 * push * a * b
-    if have.issuperset(SPEED):
-        out[SPEED] = lambda t, a, b: push * 2.0 * a * b / (a + b)
-    if have.issuperset(TURN):
-        out[TURN] = lambda t, a, b: twist * 2.0 * a * b / (a + b)
-        turning = np.column_stack([raw.channels[c] for c in TURN])
-        rows = _measured(raw.t, turning)
-        if have.issuperset(ATTITUDE) and rows.size:
-            clock, rate = raw.t[rows], np.linalg.norm(turning[rows], axis=1)
+    twist = MARGIN * arm * thrust / min(float(vehicle.inertia[i][i]) for i in range(3))
 
-            def of_attitude(t: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-                # The gyro has rows of its own: its value at the time of the attitude.
-                return 0.125 * np.interp(t, clock, rate) ** 2 * a * b + 0.25 * twist * a * b
+    def gained(gap: FloatArray) -> FloatArray:
+        """Time [s] of all there is that a rate gains in a gap: there and back is a triangle."""
+        return gap * np.minimum(gap / (4.0 * RISE), 1.0)
 
-            out[ATTITUDE] = of_attitude
+    every: dict[tuple[str, ...], Possible] = {
+        FORCE: lambda gap: push * np.minimum(gap / RISE, 1.0),
+        SPEED: lambda gap: push * gained(gap),
+        PLACE: lambda gap: 0.5 * push * gained(gap) * gap,
+        TURN: lambda gap: twist * gained(gap),
+        ATTITUDE: lambda gap: 0.25 * twist * gained(gap) * gap,  # a quaternion has half the angle
+    }
+    return {names: limit for names, limit in every.items() if have.issuperset(names)}
+
+
+def _off_line(t: FloatArray, block: FloatArray, k: int) -> FloatArray:
+    """Distance of the samples (n, d) from the line between those k before and k after; 0 at the ends."""
+    out = np.zeros(block.shape)
+    share = ((t[k:-k] - t[: -2 * k]) / (t[2 * k :] - t[: -2 * k]))[:, None]
+    out[k:-k] = np.abs(block[k:-k] - (1.0 - share) * block[: -2 * k] - share * block[2 * k :])
     return out
 
 
-def _alone(t: FloatArray, block: FloatArray, explained: Explained) -> tuple[BoolArray, FloatArray]:
-    """Samples (n, d) at increasing times (n,) that stand apart from the line between both
-    neighbours, which agree with each other."""
-    bad = np.zeros(len(block), dtype=bool)
-    size = np.zeros(len(block))
-    if len(block) < 5:
-        return bad, size
-    gap = np.diff(t)
-    before, after = gap[:-1], gap[1:]
-    share = (before / (before + after))[:, None]
-    apart = np.linalg.norm(block[1:-1] - (1.0 - share) * block[:-2] - share * block[2:], axis=1)
-    between = np.linalg.norm(block[2:] - block[:-2], axis=1)
+def _lone(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
+    """How far (n,) each lone sample of (n, d) at increasing times (n,) is off, 0 for all others.
+
+    The largest of close ones first: what is left is judged without it."""
+    size, left = np.zeros(len(block)), np.arange(len(block))
+    for _ in range(PASSES):
+        found = _apart(t[left], block[left], possible)
+        wide = np.pad(found, 2)
+        lone = (found > 0.0) & (found >= np.max([wide[k : k + found.size] for k in (0, 1, 3, 4)], axis=0))
+        if not lone.any():
+            break
+        size[left[lone]] = found[lone]
+        left = left[~lone]
+    return size
+
+
+def _apart(t: FloatArray, block: FloatArray, possible: Possible) -> FloatArray:
+    """How far a component of a sample stands apart from the line between both neighbours, which go on as those
+    beyond them, (n,); 0 where that is possible."""
+    n = len(block)
+    if n < 2 * max(AROUND):
+        return np.zeros(n)
+    apart = _off_line(t, block, 1)
+    wide = np.pad(apart, ((max(AROUND),) * 2, (0, 0)))
+    places = [max(AROUND) + sign * k for k in AROUND for sign in (-1, 1)]
+    around = np.partition([wide[k : k + n] for k in places], -len(AROUND), axis=0)[-len(AROUND)]
+    noise = APART * np.maximum(around, np.median(apart[1:-1], axis=0))
     # Stamps jitter: two that lie closer than usual leave the craft no less time to move.
-    usual = float(np.median(gap))
-    possible = explained(t[1:-1], np.maximum(before, usual), np.maximum(after, usual))
-    limit = np.maximum(APART * float(np.median(apart)), MARGIN * possible)
-    bad[1:-1] = (apart > limit) & (between < 0.5 * apart)
-    size[1:-1] = apart
-    return bad, size
+    gap = np.diff(t)
+    limit = np.zeros(n)
+    limit[1:-1] = possible(np.maximum(np.maximum(gap[:-1], gap[1:]), float(np.median(gap))))
+    # From one neighbour to the other, less than what is usual on the calmer side: a step is no lone sample.
+    two = np.pad(np.abs(block[2:] - block[:-2]), ((3, 3), (0, 0)))
+    step = two[2 : n + 2] - np.minimum(two[:n], two[4 : n + 4])
+    # A sound sample between two spikes lies where those beyond them do.
+    lone = (apart > np.maximum(noise, limit[:, None])) & (step < 0.5 * apart) & (_off_line(t, block, 2) > 0.25 * apart)
+    return np.asarray(np.where(lone, apart, 0.0).max(axis=1))

@@ -22,7 +22,7 @@ from greybox.estimation.build import BuildError, build
 from greybox.estimation.cache import cache_dir
 from greybox.files import write_atomic
 from greybox.symbolic import FloatArray
-from mpc_export.c_code import FAST_FLAGS, CKernel, write_c
+from mpc_export.c_code import FAST_FLAGS, CKernel, Real, write_c
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.problem import TubeProblem
 from mpc_export.tube.stages import Stages, stages
@@ -194,12 +194,13 @@ def _private(libraries: Path) -> Path:
 
 
 def sources(
-    sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel]
+    sizes: dict[str, int], made: Stages, kernels: Sequence[CKernel], *, real: Real = "double"
 ) -> dict[str, str]:
-    """C of the stage functions and of the controller, by file name; their headers are inside."""
+    """C of the stage functions, in this precision, and of the controller (in double), by file name; their
+    headers are inside."""
     with tempfile.TemporaryDirectory() as folder:
         source = write_c(
-            list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels
+            list(made.functions.values()), Path(folder), prefix="tube_model", kernels=kernels, real=real
         )
         model, header = source.source.read_text(encoding="utf-8"), source.header.read_text(encoding="utf-8")
     works = {

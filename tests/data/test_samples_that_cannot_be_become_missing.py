@@ -11,9 +11,10 @@ from hypothesis import given, settings
 
 from greybox.automatic.fit import prepare
 from greybox.data import read_logs
-from greybox.data.impossible import OVERSPEED, without_impossible
+from greybox.data.impossible import MARGIN, OVERSPEED, RISE, without_impossible
 from greybox.linear.logs import parse_channels, read_records
 from tests.automatic.craft import flown, raw, vehicle, with_channel
+from tests.data import faults
 
 TOP = 2500.0
 """speed_max of the vehicle file."""
@@ -68,6 +69,37 @@ def test_a_jump_that_no_motion_explains_takes_its_whole_sample(log, name, jump, 
         assert np.flatnonzero(np.isnan(clean.channels[n])).tolist() == [250]
 
 
+STAR, IMU = ("nanobench", "B8_star_fast_rep2"), ("arpl_crazyflie", "log15")
+
+
+@pytest.mark.parametrize(
+    ("flight", "name", "size"),
+    [
+        (STAR, "p", 4.0), (STAR, "r", 4.0), (STAR, "ax", 15.0), (STAR, "az", 15.0), (STAR, "x", 0.05),
+        (STAR, "vz", 0.2), (STAR, "qy", 0.16), (STAR, "vbat", 0.9), (IMU, "q", 0.7), (IMU, "ay", 6.0),
+    ],
+)  # fmt: skip
+def test_lone_samples_of_every_sensor_of_real_flights_are_taken_and_no_others(flight, name, size):
+    """100 Hz, interpolated, and 1 kHz as it was sampled; some of them two or three rows apart."""
+    real, craft = faults.real(*flight), faults.vehicle(flight[0])
+    rng = np.random.default_rng(5)
+    at = np.sort(rng.choice(np.arange(500, real.n - 900, 40), 20, replace=False))
+    at = np.concatenate([at, at[:5] + 2, at[5:10] + 3])
+    values = real.channels[name].copy()
+    values[at] += size * rng.choice([-1.0, 1.0], at.size)
+    sound = without_impossible(real, craft).channels[name]
+    taken = without_impossible(faults.with_channels(real, **{name: values}), craft).channels[name]
+    assert np.flatnonzero(np.isnan(taken) & ~np.isnan(sound)).tolist() == sorted(at)
+
+
+def test_spikes_of_two_axes_in_rows_that_follow_each_other_do_not_hide_one_another(log):
+    rates = {n: log.channels[n].copy() for n in "pqr"}
+    rates["p"][[250, 400]] += 60.0
+    rates["q"][251] -= 60.0
+    (removed,) = without_impossible(with_channel(log, **rates), vehicle()).removed
+    assert (removed.channels, removed.count) == (("p", "q", "r"), 3)
+
+
 def test_a_step_that_stays_is_no_single_sample(log):
     values = log.channels["x"].copy()
     values[250:] += 0.3
@@ -116,15 +148,15 @@ def test_what_the_rotors_can_do_is_taken_at_full_command(log):
     c0, c1, c2 = own.actuator.thrust
     scaled = (c0, replace(c1, value=c1.value / 100), replace(c2, value=c2.value / 1e4))
     percent = replace(own, actuator=replace(own.actuator, u_max=100.0, thrust=scaled))
-    thrust = 4 * sum(c.value for c in own.actuator.thrust)
-    # Half of the limit, which is 5 times what full thrust explains, and beyond that of gravity alone.
-    push = 2.0 * thrust / own.mass.value + own.gravity
-    still = with_channel(log, **{n: np.zeros(log.n) for n in ("x", "y", "z")})
-    moved = np.zeros(log.n)
-    moved[250] = 2.5 * push * 0.5 * 0.01**2
-    assert 2.5 * push > 5.0 * own.gravity
+    push = MARGIN * 4 * sum(c.value for c in own.actuator.thrust) / own.mass.value
+    # Thrust that rises for half a step of 10 ms and falls for the other, there and back.
+    gained = push * 0.01 * (0.01 / (4 * RISE))
+    still = with_channel(log, **{n: np.zeros(log.n) for n in ("vx", "vy", "vz")})
     for craft in (own, percent):
-        assert without_impossible(with_channel(still, x=moved), craft).removed == ()
+        for share, count in ((0.95, 0), (1.05, 1)):
+            moved = np.zeros(log.n)
+            moved[250] = share * gained
+            assert len(without_impossible(with_channel(still, vx=moved), craft).removed) == count
 
 
 def test_what_was_taken_is_among_the_decisions_and_can_be_kept(log):

@@ -31,7 +31,7 @@ BLOCKED = {
     "quaternion order": "attitude", "quaternion direction": "attitude",
 }  # fmt: skip
 WARNED = {
-    "dropped rows": "gaps", "lost second": "gaps", "jitter": "clock", "spikes": "saturation",
+    "dropped rows": "gaps", "lost second": "gaps", "jitter": "clock", "spikes": "ranges",
     "saturated sensor": "saturation", "constant channel": "frozen",
 }  # fmt: skip
 REFUSED = {

@@ -8,7 +8,6 @@ none. Steps are compared with the usual ones of the flight.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -78,12 +77,13 @@ def _jumps(view: View, sizes: dict[str, FloatArray], side: int) -> Iterator[Find
         return
     most = np.max(list(sizes.values()), axis=0)
     places = []
-    left = most.copy()
-    while left.max() > JUMP:
-        k = int(left.argmax())
-        near = slice(max(k - 2 * side, 0), k + 2 * side + 1)
-        places.append((k, {g: float(s[near].max()) for g, s in sizes.items()}))
-        left[near] = 0.0
+    said = np.zeros(most.size, dtype=bool)
+    large = np.flatnonzero(most > JUMP)
+    for k in large[np.argsort(-most[large], kind="stable")].tolist():
+        if not said[k]:
+            near = slice(max(k - 2 * side, 0), k + 2 * side + 1)
+            places.append((k, {g: float(s[near].max()) for g, s in sizes.items()}))
+            said[near] = True
     if not places:
         return
     several = [(k, s) for k, s in places if sum(v > BOTH for v in s.values()) > 1]
@@ -117,8 +117,9 @@ def _repeated(view: View) -> Iterator[Finding]:
     back = np.arange(log.n) - first[which]  # how many rows ago it was there for the first time
     least = max(10, round(TWICE * view.rate))
     edges = np.flatnonzero(np.diff(back, prepend=-1, append=-1) != 0)
-    for a, b in itertools.pairwise(edges):
-        if b - a < least or back[a] == 0 or np.unique(which[a:b]).size < least:
+    long = (np.diff(edges) >= least) & (back[edges[:-1]] > 0)
+    for a, b in zip(edges[:-1][long], edges[1:][long], strict=True):
+        if np.unique(which[a:b]).size < least:
             continue
         yield Finding(
             check="jumps",

@@ -78,8 +78,10 @@ def _removed(view: View) -> Iterator[Finding]:
     for removed in view.possible.removed:
         if removed.reason == OUTSIDE:
             continue
-        share = removed.count / max(int(np.isfinite(view.raw.channels[removed.channels[0]]).sum()), 1)
-        landing = removed.count == 1 and not view.in_flight(removed.first_time)
+        before, after = (log.channels[removed.channels[0]] for log in (view.raw, view.possible))
+        gone = view.raw.t[np.isfinite(before) & np.isnan(after)]
+        share = removed.count / max(int(np.isfinite(before).sum()), 1)
+        landing = not any(view.in_flight(t) for t in gone)  # a blow that no rotor gave
         severity: Severity = "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
         yield Finding(
             check="ranges",

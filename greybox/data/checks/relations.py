@@ -167,9 +167,12 @@ def moments(reading: Reading, dt: float, span: int, reach: float) -> Moments | N
         return None
     rows, starts = found
     y = reading.y[rows]
-    x = reading.x[rows - lags[:, None]]
-    cross = np.add.reduceat(y[:, :, None] * x[:, :, None, :], starts, axis=1)
-    yy, xx = np.add.reduceat(y * y, starts, axis=0), np.add.reduceat(x * x, starts, axis=1)
+    yy = np.add.reduceat(y * y, starts, axis=0)
+    cross, xx = np.zeros((lags.size, starts.size, 3, 3)), np.zeros((lags.size, starts.size, 3))
+    for i, lag in enumerate(lags.tolist()):  # one at a time: all of them together are too much memory
+        x = reading.x[rows - lag]
+        cross[i] = np.add.reduceat(y[:, :, None] * x[:, None, :], starts, axis=0)
+        xx[i] = np.add.reduceat(x * x, starts, axis=0)
     size = np.sqrt(yy.sum(axis=1) * xx.sum(axis=2))
     alike = np.linalg.svd(cross, compute_uv=False).sum(axis=2) / np.maximum(size, 1e-300)
     # Ties go to the smaller lag: streams that stand still are alike at any.

@@ -125,20 +125,28 @@ def windowed(
     """Correlations (W, L) of all columns of a (N, k) together with those of b moved later by each lag, in windows of
     `length` rows from `starts` (W,) on. Zero where too little is known."""
     out = np.zeros((starts.size, lags.size))
-    ends = starts + length
+    if not starts.size:
+        return out
+    edges = np.unique(np.concatenate([starts, starts + length]))
+    first, last = np.searchsorted(edges, starts), np.searchsorted(edges, starts + length)
+
+    def within(values: FloatArray) -> FloatArray:
+        """Sums over the windows: of the pieces between edges, which are few."""
+        pieces = np.add.reduceat(values[: edges[-1]], edges[:-1], axis=0)
+        total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(pieces, axis=0)])
+        return np.asarray(total[last] - total[first])
+
+    known_a, known_b = (
+        np.asarray(np.isfinite(v).all(axis=1, keepdims=True), dtype=np.float64) for v in (a, b)
+    )
     for i, lag in enumerate(lags.tolist()):
-        x, y = a, shifted(b, lag)
-        known = np.asarray(np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1))[:, None]
-        x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
-        k = x.shape[1]
-        columns = np.hstack([known, x, y, x * x, y * y, x * y])
-        total = np.vstack([np.zeros((1, 1 + 5 * k)), np.cumsum(columns, axis=0)])
-        sums = total[ends] - total[starts]
-        count = np.maximum(sums[:, :1], 1.0)
-        sx, sy, xx, yy, xy = (sums[:, 1 + j * k : 1 + (j + 1) * k] for j in range(5))
+        known = known_a * (shifted(known_b, lag) == 1.0)
+        x, y = np.where(known, a, 0.0), np.where(known, shifted(b, lag), 0.0)
+        sums = [within(v) for v in (known, x, y, x * x, y * y, x * y)]
+        count, (sx, sy, xx, yy, xy) = np.maximum(sums[0], 1.0), sums[1:]
         product = (xy - sx * sy / count).sum(axis=1)
         size = np.sqrt(np.maximum((xx - sx**2 / count).sum(axis=1) * (yy - sy**2 / count).sum(axis=1), 0.0))
-        enough = (sums[:, 0] >= MINIMUM) & (size > 0)
+        enough = (sums[0][:, 0] >= MINIMUM) & (size > 0)
         out[enough, i] = product[enough] / size[enough]
     return out
 

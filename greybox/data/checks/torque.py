@@ -77,8 +77,8 @@ def joined_sums(flights: Sequence[Sums]) -> Sums:
 def _sums(u: FloatArray, rows: npt.NDArray[np.int64], lag: int, other: FloatArray, turn: FloatArray) -> Sums:
     """Sums (1, B, ...) of one axis."""
     x = shifted(u, lag)[rows]
-    rest = np.column_stack([other[rows], x.sum(axis=1)])
-    x, y = _without(rest, x), _without(rest, turn[rows, None])[:, 0]
+    basis = _basis(np.column_stack([other[rows], x.sum(axis=1)]))
+    x, y = _without(basis, x), _without(basis, turn[rows, None])[:, 0]
     parts = np.array_split(np.arange(rows.size), BLOCKS)
     return Sums(xx=np.array([[x[p].T @ x[p] for p in parts]]), xy=np.array([[x[p].T @ y[p] for p in parts]]))
 
@@ -143,11 +143,12 @@ def _regression(view: View) -> Torque | None:
         return None
     y = turn[known]
     total = ((y - y.mean(axis=0)) ** 2).sum(axis=0)
-    rest = _without(other[known], y)
+    basis = _basis(other[known])
+    rest = _without(basis, y)
     base = (rest**2).sum(axis=0)
     shares, gains = np.zeros((len(lags), 3)), np.zeros((len(lags), 3, n))
     for i, lag in enumerate(lags):
-        x = _without(other[known], shifted(u, int(lag))[known])
+        x = _without(basis, shifted(u, int(lag))[known])
         b = _solve(x, rest)
         shares[i] = (base - ((rest - x @ b) ** 2).sum(axis=0)) / np.maximum(total, 1e-300)
         gains[i] = b.T
@@ -167,11 +168,15 @@ def _regression(view: View) -> Torque | None:
     )
 
 
-def _without(other: FloatArray, y: FloatArray) -> FloatArray:
-    """What is left of y after regression on the other signals."""
-    basis, sizes = np.linalg.qr(other)
+def _basis(columns: FloatArray) -> FloatArray:
+    """Orthonormal columns (N, k) that span these (N, j), k <= j."""
+    basis, sizes = np.linalg.qr(columns)
     size = np.abs(np.diag(sizes))
-    basis = basis[:, size > 1e-12 * size.max()]
+    return np.asarray(basis[:, size > 1e-12 * size.max()])
+
+
+def _without(basis: FloatArray, y: FloatArray) -> FloatArray:
+    """What is left of y (N, m) after regression on what the basis (N, k) spans."""
     return y - basis @ (basis.T @ y)
 
 

@@ -87,9 +87,16 @@ class View:
         except DataError:
             return None
 
+    @functools.cached_property
+    def _segments(self) -> FloatArray:
+        """(S, 2): first and last time [s] of the airborne segments."""
+        ends = [(s.t[0], s.t[-1]) for s in self.flight.segments] if self.flight else []
+        return np.array(ends, dtype=np.float64).reshape(-1, 2)
+
     def in_flight(self, t: float) -> bool:
         """Whether the log time `t` [s] lies in the airborne part."""
-        return self.flight is not None and any(s.t[0] <= t <= s.t[-1] for s in self.flight.segments)
+        k = int(np.searchsorted(self._segments[:, 0], t, side="right")) - 1
+        return k >= 0 and bool(t <= self._segments[k, 1])
 
     @property
     def dt(self) -> float:

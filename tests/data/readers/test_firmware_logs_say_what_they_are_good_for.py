@@ -71,3 +71,16 @@ def test_what_makes_a_log_unfit() -> None:
     assert with_commands(0.0) == ["disarmed"]
     assert with_commands(0.05) == ["on the ground"]
     assert with_commands(0.5) == []
+
+
+def test_a_craft_that_hardly_turns_flies_all_the_same_where_it_moves() -> None:
+    raw = real("nanobench", "B2_circle_medium_rep1")
+    calm = {n: 1e-3 * raw.channels[n] for n in "pqr"}
+    rates = {"command": 100.0, "rate": 100.0}
+
+    def said(velocity: float) -> list[str]:
+        changed = calm | {n: velocity * raw.channels[n] for n in ("vx", "vy", "vz")}
+        return list(unfit(type(raw)(**{**vars(raw), "channels": {**raw.channels, **changed}}), rates))
+
+    assert said(1.0) == []
+    assert said(0.05) == said(np.nan) == ["on the ground: motors run, but the gyro shows no motion"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,6 +64,29 @@ def program(folder: Path, flags: tuple[str, ...], *, own_model: bool = False) ->
     return [out, str(folder / "hover.bin")]
 
 
+def in_float(folder: Path, flags: tuple[str, ...]) -> list[str]:
+    """The same in single precision: the controller's own text with HPIPM's other half."""
+    solver, _ = pair()
+    solver.reset()
+    d = solver.data
+    d["kappa"][:], d["kappa_u"][()] = 2.0, 1.0
+    d["qp_tolerance"][()], d["primal_tolerance"][()] = 1e-4, 1e-3
+    (folder / "hover.bin").write_bytes(solver._buffer.astype(np.float32).tobytes())
+    texts = sources(solver.sizes, solver.stages, (), real="float")
+
+    def single(text: str) -> str:
+        text = re.sub(r"\bdouble\b", "float", text).replace("blasfeo_d_", "blasfeo_s_")
+        return re.sub(r"\b(hpipm_|struct )?d_ocp_qp", r"\1s_ocp_qp", text).replace("1e-12)", "1e-6)")
+
+    random = (HERE.parent / "fuzz_random.c").read_text()
+    texts["fuzz.c"] = single(texts["controller.c"]) + random + single((HERE / "fuzz.c").read_text())
+    for name in ("tube_model.c", "fuzz.c"):
+        (folder / name).write_text(texts[name])
+    made = [*cc(), *flags, "-w", f"-isystem{hpipm()[0]}", *(str(folder / n) for n in ("fuzz.c", "tube_model.c"))]
+    subprocess.run([*made, "-o", str(folder / "fuzz"), *link_flags(), "-lm"], check=True)
+    return [str(folder / "fuzz"), str(folder / "hover.bin")]
+
+
 def judged(command: list[str], steps: int, seed: int) -> None:
     done = subprocess.run(
         [*command, str(steps), str(seed)], capture_output=True, text=True, check=False, timeout=7200
@@ -84,6 +108,11 @@ def judged(command: list[str], steps: int, seed: int) -> None:
 
 def test_plans_in_c_keep_their_limits(tmp_path):
     judged(program(tmp_path, ("-std=c99", "-O1")), 1500, 1)
+
+
+@pytest.mark.slow
+def test_plans_in_single_precision_keep_their_limits_too(tmp_path):
+    judged(in_float(tmp_path, ("-std=c99", "-O1")), 1500, 1)
 
 
 def flown(steps: int, seed: int) -> None:
@@ -181,8 +210,10 @@ def test_many_plans_in_c_keep_their_limits(tmp_path):
 
 
 @pytest.mark.slow
-def test_plans_in_c_stay_inside_their_memory(tmp_path):
-    judged(program(tmp_path, SANITIZED, own_model=True), min(MANY, 20000), 3)
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_plans_in_c_stay_inside_their_memory(tmp_path, real):
+    made = program(tmp_path, SANITIZED, own_model=True) if real == "double" else in_float(tmp_path, SANITIZED)
+    judged(made, min(MANY, 20000), 3)
 
 
 @pytest.mark.slow
