@@ -149,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
         for note in content["notes"]:
             print(f"note: {note}")
         print(f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}")
-    bad = [r.fit.model.name for r in results if not r.fit.status.final]
+    bad = [r.fit.model.name for r in results if not r.fit.converged]
     if bad:
         print(f"not converged: {', '.join(bad)}", file=sys.stderr)
     return 1 if bad else 0
