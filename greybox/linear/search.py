@@ -123,8 +123,8 @@ def price_of_a_state(parameters: int, samples: int) -> float:
     """Gain in -2 log likelihood at which one more state of so many `parameters` is as likely as not, on `samples` rows.
 
     Marginal likelihood with the state's strengths integrated out: s = parameters - 1 of them under a Gaussian prior whose
-    width is the most likely one (empirical Bayes; MacKay 1992, Neural Computation 4(3)) cost s (1 + log(G/s)) of a gain G. Its
-    pole is as likely anywhere as the data tell poles apart (Jeffreys): information G/(1 - pole^2)^2 over poles that the
+    width is the most likely one (empirical Bayes; MacKay 1992, Neural Computation 4(3)) cost s (1 + log(G/s)) of a gain G.
+    Its pole is as likely anywhere as the data tell poles apart (Jeffreys): information G/(1 - pole^2)^2 over poles that the
     record forgets, L = 2 artanh(1 - FORGET/samples) wide, costs log G + 2 log L - log 2 pi (Laplace). The gain is even
     with both. It is about 10 with one input and one output and 22 with four and three, where Akaike asks 6 and 20.
     """
