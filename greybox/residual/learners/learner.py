@@ -35,7 +35,7 @@ class Learner(Protocol):
 
 @runtime_checkable
 class LooksBack(Learner, Protocol):
-    """A learner that looks at earlier commands too, as many as `lags` samples back; it is told what its inputs are called."""
+    """A learner that looks at earlier commands too; it is told what its inputs are called."""
 
     @property
     def lags(self) -> int:
