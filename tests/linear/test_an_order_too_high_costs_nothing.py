@@ -70,13 +70,17 @@ def test_up_to_the_true_order_the_result_is_the_likelihoods_maximum(order: int) 
         assert np.array_equal(a, b)
 
 
-@pytest.mark.parametrize(("strengths", "samples"), [(2, 3000), (9, 500)])
-def test_the_price_is_where_the_evidence_is_even(strengths: int, samples: int) -> None:
-    """Both factors by quadrature: strengths under the most likely prior width, poles under Jeffreys' prior."""
-    gain = price_of_a_state(strengths + 1, samples)
+@pytest.mark.parametrize(("parameters", "samples"), [(3, 3000), (10, 500)])
+def test_the_price_is_where_the_evidence_of_a_pair_is_even(parameters: int, samples: int) -> None:
+    """Both factors by quadrature: strengths under the most likely prior width, a pole under Jeffreys' prior."""
+    gain, strengths = 2 * price_of_a_state(parameters, samples), 2 * (parameters - 1)
     widths = np.geomspace(1e-3, 1e3, 20001)  # prior variance of a strength in that of its estimate
     of_strengths = np.max(-0.5 * strengths * np.log1p(widths) + 0.5 * gain * widths / (1 + widths))
-    edge = np.arctanh(1 - 3.0 / samples)
-    place = np.linspace(-edge, edge, 20001)  # hyperbolic: one standard error is 1 / sqrt(gain) anywhere
-    of_pole = np.log(np.mean(np.exp(-0.5 * gain * place**2)))
-    assert of_strengths + of_pole == pytest.approx(0.0, abs=0.02)
+    side, edge = np.linspace(-1, 1, 2001), 1 - 3.0 / samples
+    disc = side[:, None] + 1j * side[None, 1000:]
+    inside = np.abs(disc) < 0.9  # the rest of the prior's mass has a closed form
+    prior = np.where(inside, (1 - np.abs(np.where(inside, disc, 0)) ** 2) ** -2, 0.0) * (side[1] - side[0]) ** 2
+    mass = prior.sum() + np.pi / 2 * (edge**2 / (1 - edge**2) - 0.81 / 0.19)
+    truth = 0.3 + 0.4j
+    of_pole = np.log(np.sum(prior * np.exp(-0.5 * gain * np.abs(disc - truth) ** 2 / (1 - np.abs(truth) ** 2) ** 2)) / mass)
+    assert of_strengths + of_pole == pytest.approx(0.0, abs=0.4)
