@@ -50,9 +50,10 @@ from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.engine import unfelt_place
 from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
-from greybox.model.layer import learned_push_of, physics_of
+from greybox.model.layer import LongerWindow, learned_push_of, physics_of
 from greybox.model.linear import LinearModel
 from greybox.residual.feature_posterior import FeaturePosterior
+from greybox.residual.features import lag_of, reach
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
@@ -173,10 +174,19 @@ class _Builder:
         if not same:
             dynamics = at_sample_time(dynamics, self.dt)
         self.posterior: Learned | None = None
+        self.looks_back: dict[str, int] = {}
         if isinstance(model, PredictorModel):
             self.posterior = model.learned
         elif isinstance(dynamics, HybridModel):
             self.posterior, dynamics = dynamics.posterior, dynamics.inner
+            self.looks_back = {of: lag for of, lag in sorted(map(lag_of, self.posterior.inputs.names)) if lag}
+            if self.looks_back and not same:
+                raise ModelError(
+                    "the learned part looks at earlier commands, sample by sample",
+                    expected=f"dt = {self.own_dt:g} s, at which it was learned", got=f"{self.dt:g} s",
+                )  # fmt: skip
+            if self.looks_back:
+                dynamics = LongerWindow(inner=dynamics, past=reach(self.posterior.inputs.names))
         if learned_push_of(dynamics) is not None:
             raise ModelError("a learned part inside another one cannot be exported", got=dynamics.name)
         euler = () if self.posterior is None else tuple(n for n in self.posterior.inputs.names if n in EULER)
@@ -202,7 +212,7 @@ class _Builder:
             if isinstance(model, PredictorModel)
             else Sampled(
                 dynamics=dynamics, dt=self.dt, values=values, runtime=tuple(n for n in runtime if n != WEIGHTS),
-                sensitive=self.theta_names,
+                sensitive=self.theta_names, looks_back=self.looks_back,
             )
         )  # fmt: skip
         self.x, self.u, self.p, self.w = self.sampled.symbols()
@@ -265,17 +275,16 @@ class _Builder:
         if name in self.functions:
             return self.functions[name]
         assert self.posterior is not None
-        z = self.sampled.features(self.posterior.inputs.names, self.x, self.u, self.p)
-        n = len(self.sampled.dynamics.states)
-        by_x = ca.jacobian(z, self.x)
+        s, x, into = self.sampled, self.x, self.chart_in
+        z = s.features(self.posterior.inputs.names, x, self.u, self.p)
+        if kind == "own":  # commands have been the same for long
+            n, now = len(s.dynamics.states), s.current(self.u, self.p)
+            x = x[:n]
+            z = ca.substitute(z, self.x, ca.vertcat(x, *(now[i] for i, _ in s.history)))
+        by_x = ca.jacobian(z, x)
         zeros = ca.SX(len(self.posterior.inputs), len(self.parameters) - self.p.numel())
-        parts = [z, by_x @ self.chart_in if kind == "error" else by_x, ca.jacobian(z, self.u)]
+        parts = [z, by_x @ into if kind == "error" else by_x, ca.jacobian(z, self.u)]
         parts.append(ca.horzcat(ca.jacobian(z, self.p), zeros))
-        x = self.x
-        if kind == "own":  # features do not look at the history
-            x = self.x[:n]
-            parts[1] = parts[1][:, :n]
-            parts = ca.substitute(parts, [self.x], [ca.vertcat(x, ca.SX.zeros(self.x.numel() - n))])
         p = ca.SX.sym("p", len(self.parameters))
         values = [ca.densify(ca.substitute(v, self.p, p[: self.p.numel()])) for v in parts]
         made = ca.Function(name, [x, self.u, p], values, ["x", "u", "p"], ["z", "z_x", "z_u", "z_p"])

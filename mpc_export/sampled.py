@@ -11,7 +11,7 @@ All expressions are SX.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -56,6 +56,8 @@ class Sampled:
     values: Mapping[str, float]
     runtime: tuple[str, ...] = ()
     sensitive: tuple[str, ...] = ()
+    looks_back: Mapping[str, int] = field(default_factory=dict)
+    """How many samples back a learned part looks at an input."""
 
     def __post_init__(self) -> None:
         known = [d.name for d in self.dynamics.parameters]
@@ -102,7 +104,9 @@ class Sampled:
         baked = ca.substitute(everything, theta, self._baked(p, self.sensitive))
         needed = _felt(baked, [x, window, p, w], 1).reshape(-1, count)  # column by column
         out: list[tuple[int, int]] = []
-        longest = [max((lag for lag in range(1, past + 1) if needed[past - lag, i]), default=0) for i in range(count)]
+        for i, name in enumerate(self.dynamics.inputs.names):
+            needed[past - self.looks_back.get(name, 0), i] = True
+        longest = [max(lag for lag in range(past + 1) if needed[past - lag, i] or not lag) for i in range(count)]
         for lag in range(1, max(longest, default=0) + 1):
             out += [(i, lag) for i in range(count) if longest[i] >= lag]
         if any(self.dynamics.inputs.names[i] in self.exogenous for i, _ in out):

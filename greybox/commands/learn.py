@@ -30,10 +30,11 @@ def add(subparsers: Any) -> None:
     flight_log_options(p)
     p.add_argument("--points", default="50", metavar="M", help="support points, a number or auto (default 50)")
     p.add_argument("--learner", default="gp", metavar="NAME", help="gp (default), random-features, neural (a network with "
-                   "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), or own.py:Name, "
-                   "Python that is run")  # fmt: skip
+                   "a Bayesian last layer), ensemble (of networks), sparse (a law of few terms), tcn (a convolution "
+                   "over earlier commands), or own.py:Name, Python that is run")  # fmt: skip
     p.add_argument("--kernel", default="se", help="se, matern32, matern52, or linear+ one of these")
-    p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete)")
+    p.add_argument("--inputs", default=None, metavar="a,b", help="features (default: sets of them compete); "
+                   "u1[t-3] is a command of three samples ago")  # fmt: skip
     p.add_argument("--place", action="store_true", help="let the place in the room compete as a feature too (walls, vents): "
                    "what it teaches holds in this room only")  # fmt: skip
     adapt_option(p)

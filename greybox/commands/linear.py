@@ -144,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
         content, *(r.format() for r in results), *(f"note: {n}" for n in content["notes"]),
         f"wrote {out / 'fit.json'}, {out / 'model.json'}, {out / 'report.html'}",
     )  # fmt: skip
-    bad = [r.fit.model.name for r in results if not r.fit.status.final]
+    bad = [r.fit.model.name for r in results if not r.fit.converged]
     if bad:
         print(f"not converged: {', '.join(bad)}", file=sys.stderr)
     return 1 if bad else 0

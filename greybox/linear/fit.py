@@ -166,9 +166,10 @@ def fit_linear(
     """Identify a linear model in innovation form by subspace start and prediction error polish.
 
     `order` is a number or "auto" (1 .. `largest` by `criterion` "aic", "aicc" or "bic"; see `choose_order`). `delays`
-    are whole samples per input, or "auto" (see `estimate_delays`). `dt` in seconds. `center` takes the pooled means as
-    the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace start, or from the chosen
-    order: slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults.
+    are whole samples per input, or "auto" (see `estimate_delays`). A number is the most states: those that the data do not
+    carry are left out, with a warning (`search.find`; `Options(exact_order=True)` keeps them). `dt` in seconds. `center`
+    takes the pooled means as the operating point. `solver` "ipopt" minimises the same criterion by IPOPT from the subspace
+    start, or from the chosen order: slow, a check. The choices are keywords, fields of `LinearSetup` with its defaults.
     Raises `DataError` (bad records, too short for the order), `FitError` and `UnknownNameError` (of a choice, too).
     """
     if not records:
@@ -210,7 +211,11 @@ def fit_linear(
 
         found = replace(found, solution=minimise_ipopt(found.solution, scaled, options.settings))
     late = tuple(delays or (0,) * m)
-    return _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
+    fit = _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
+    if isinstance(order, str) or fit.order == order:
+        return fit
+    spare = f"the data carry {fit.order} of {order} states: more gain no more than chance would give them, and were left out"
+    return replace(fit, warnings=(spare, *fit.warnings))
 
 
 def _assemble(
@@ -293,7 +298,7 @@ def _warnings(
             "the innovations are coloured and the records too short (or too long to hold) for robust standard errors: "
             "those given are too small"
         )
-    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT, Status.START_KEPT):
+    if s.status in (Status.STALLED, Status.MAX_ITERATIONS, Status.FLAT):
         out.append(s.status.value)
     if rank < free:
         out.append(

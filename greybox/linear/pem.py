@@ -53,21 +53,12 @@ class Status(Enum):
         "stability limit or have more states than the data carry: lower the order"
     )
     MAX_ITERATIONS = "not converged: iteration limit reached; raise max_iterations or start from another method"
-    START_KEPT = (
-        "kept at the subspace start: the data do not determine some direction, and the polish gained no more than chance "
-        "does there: lower the order"
-    )
     NOT_RUN = "not polished: this is the subspace start"
 
     @property
     def converged(self) -> bool:
         """Whether the optimum was reached."""
         return self is Status.CONVERGED
-
-    @property
-    def final(self) -> bool:
-        """Whether nothing is left to try: the optimum, or a start that no polish improves beyond chance."""
-        return self in (Status.CONVERGED, Status.START_KEPT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +74,6 @@ class Settings:
     """`stable` demands |eig A| < 1; `offsets` frees one per record. The iteration stops as converged where the Hessian has
     no negative curvature and a full step promises less than `tolerance` of -2 log likelihood. That decrease is the square
     of the step in standard errors, over all directions together: 0.01 is a tenth of a standard error.
-
-    `weigh_start`: whether the polish must pay for itself where the likelihood is no bump (`worth_leaving`).
     """
 
     max_iterations: int = 100
@@ -93,7 +82,6 @@ class Settings:
     offsets: bool = True
     free_start: bool = True
     radius: float = 1.0 - 1e-7
-    weigh_start: bool = False
 
 
 class Evaluation(NamedTuple):
@@ -285,10 +273,8 @@ def minimise(
             "the sensitivities are not finite at the start", fix="start from another method or a lower order"
         )
     gains: list[float] = []
-    begin, bump = (point, current, here, normal), True
     while True:
         model = _Quadratic.of(normal)
-        bump = bump and (iteration > 0 or model.convex)
         decrement = model.decrement
         if decrement < tolerance and model.convex:
             status = Status.CONVERGED
@@ -320,9 +306,6 @@ def minimise(
         damping = damping if damping > 1e-8 else 0.0
         gains.append(gain)
         point, current, here, normal = trial, moved, there, following
-    ended = status in (Status.CONVERGED, Status.FLAT)
-    if settings.weigh_start and ended and not bump and not worth_leaving(sum(gains), point.tangent().shape[1]):
-        (point, current, here, normal), status = begin, Status.START_KEPT
     return Solution(
         point=point,
         nuisances=current,
@@ -333,18 +316,6 @@ def minimise(
         iterations=iteration,
         decrement=float(decrement),
     )
-
-
-def worth_leaving(gain: float, directions: int) -> bool:
-    """Whether the `gain` in -2 log likelihood is more than `directions` free directions cost a prediction of other data.
-
-    With x the whitened way from start to end, E|x|^2 = |mean|^2 + d: staying risks |mean|^2, of which gain - d is the
-    unbiased estimate, going risks d (Stein 1981, Annals of Statistics 9(6); the same bar as Akaike's). It is asked only
-    where the Hessian at the start has negative curvature. Else the start lies in the basin of a regular optimum, which is
-    the efficient estimate. Without one (states that cancel: an order too high) the maximum is that of a random field over
-    the poles that nothing determines, and fits the record better than it foretells another.
-    """
-    return gain > 2.0 * directions
 
 
 def _forgetful(settings: Settings, point: Parametrisation, records: Sequence[Record]) -> float:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -53,6 +54,31 @@ class Subspace:
     def largest_order(self) -> int:
         """The largest order that the horizons and the numerical rank allow."""
         return len(self.state_map)
+
+    @cached_property
+    def rows(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(x[k], x[k+1], u[k], y[k]) of all records, states of the largest order at unit spread."""
+        now, after, us, ys = [], [], [], []
+        for r in self.records:
+            if len(r) <= self.past:
+                continue
+            x = lagged(r, self.past, last=len(r)) @ self.state_map.T
+            now.append(x[:-1])
+            after.append(x[1:])
+            us.append(r.u[self.past :])
+            ys.append(r.y[self.past :])
+        x, x1, u, y = (np.vstack(v) for v in (now, after, us, ys))
+        scale = np.maximum(x.std(axis=0), 1e-300)
+        return x / scale, x1 / scale, u, y
+
+    def misfits(self, order: int) -> FloatArray:
+        """N log det of what 0, 1, ..., `order` states and the direct inputs leave of y[k]: (order + 1,), never rising."""
+        x, _, u, y = self.rows
+        x, direct = x[:, :order], u if self.feedthrough else u[:, :0]
+        tri = triangle(np.hstack([direct, x, y]))
+        first = direct.shape[1]
+        left = [tri[first + k :, first + order :] for k in range(order + 1)]
+        return len(y) * np.array([np.linalg.slogdet(v.T @ v / len(y))[1] for v in left])
 
     def realise(self, order: int, *, stable: bool = False) -> Matrices:
         """The model of that order; with `stable` A has its eigenvalues inside the unit circle by construction.
@@ -206,19 +232,8 @@ def _svd_map(seen: FloatArray, weighted: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _realise(s: Subspace, order: int, stable: bool) -> Matrices:
-    j = s.state_map[:order]
-    now, after, us, ys = [], [], [], []
-    for r in s.records:
-        if len(r) <= s.past:
-            continue
-        x = lagged(r, s.past, last=len(r)) @ j.T
-        now.append(x[:-1])
-        after.append(x[1:])
-        us.append(r.u[s.past :])
-        ys.append(r.y[s.past :])
-    x, x1, u, y = (np.vstack(v) for v in (now, after, us, ys))
-    scale = np.maximum(x.std(axis=0), 1e-300)
-    x, x1 = x / scale, x1 / scale
+    x, x1, u, y = s.rows
+    x, x1 = x[:, :order], x1[:, :order]
     n, m, p = order, u.shape[1], y.shape[1]
     left = np.hstack([x, u]) if s.feedthrough else x
     cd = _regressed(left, y)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
 from greybox.errors import ModelError
@@ -164,6 +165,50 @@ class Layer(Shown, ABC):
     def sensor_scale(self) -> FloatArray:
         """Start values of the sensor-noise levels of the base."""
         return self.base.sensor_scale()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LongerWindow(Layer):
+    """`inner` with a command window that reaches at least `past` samples back, for who looks at them."""
+
+    inner: Dynamics
+    past: int
+
+    @property
+    def base(self) -> Dynamics:
+        """The same model with its own window."""
+        return self.inner
+
+    def on(self, base: Dynamics) -> LongerWindow:
+        """The same window on another model."""
+        return replace(self, inner=base)
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """(past, future) commands of a sample."""
+        return max(self.past, self.inner.window[0]), self.inner.window[1]
+
+    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
+        """State of the inner model one sample later."""
+        return self.inner.step(t, x, own_window(self.inner, window), p, w, dt)
+
+    def output(
+        self,
+        t: Expr,
+        x: Expr,
+        window: Expr,
+        p: Expr,
+        w: Expr,
+        dt: Expr,
+        lasting: Expr = None,
+    ) -> Expr:
+        """Outputs of the inner model."""
+        return self.inner.output(t, x, own_window(self.inner, window), p, w, dt, *given(lasting))
+
+
+def own_window(dynamics: Dynamics, window: Expr) -> Expr:
+    """The command window of `dynamics` out of one that reaches further back."""
+    return window[:, window.shape[1] - 1 - sum(dynamics.window) :]
 
 
 class LearnedPush(Layer):

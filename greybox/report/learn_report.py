@@ -26,6 +26,7 @@ LEARNED = {
     "neural": "The Bayesian last layer of a small network",
     "ensemble": "The mean of an ensemble of small networks",
     "sparse": "A law of few terms",
+    "tcn": "The Bayesian last layer of a convolution over earlier commands",
 }
 FAR = "Far from the training flights it fades to nothing and the physics remains."
 BEYOND = "Far from the training flights it goes on as its features do: look at its variance and at the domain there."

@@ -16,7 +16,7 @@ from greybox.errors import GreyboxError, ModelError
 from greybox.residual.discrepancy import Discrepancy
 from greybox.residual.feature_posterior import FeaturePosterior, silent_features
 from greybox.residual.kernels import Kernel
-from greybox.residual.learners import Learner
+from greybox.residual.learners import Learner, LooksBack
 from greybox.residual.posterior import Domain, GPPosterior
 from greybox.residual.selection import place_points
 from greybox.residual.train import train_gp
@@ -101,8 +101,9 @@ def feature_candidates(
     middle = of.z.mean(axis=0) if centred else np.zeros(of.z.shape[1])
     spread, size = _spread(of.z), _spread(of.y)
     x = (seen.z - middle) / spread
+    told = learner.of(seen.inputs.names) if isinstance(learner, LooksBack) else learner
     try:
-        offered = dict(learner.features(x, seen.y / size, points=points, seed=seed))
+        offered = dict(told.features(x, seen.y / size, points=points, seed=seed))
         columns = {label: _column(made, x.shape[1]) for label, made in offered.items()}
     except GreyboxError:
         raise

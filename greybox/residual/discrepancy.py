@@ -24,7 +24,7 @@ from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.model.layer import physics_of
 from greybox.model.noise import disturbances
-from greybox.residual.features import feature_layout, features
+from greybox.residual.features import feature_layout, features, reach
 from greybox.symbolic import BoolArray, FloatArray, Layout, evaluate
 
 GROUPS = ("force", "torque")
@@ -97,7 +97,10 @@ def smoothed_features(runner: Filter, segment: Segment, look: Any) -> tuple[Floa
 
 
 def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> Discrepancy:
-    """Smoothed disturbances of all flights with the features `names`. `model` has disturbance states (`disturbed_model`)."""
+    """Smoothed disturbances of all flights with the features `names`. `model` has disturbance states (`disturbed_model`).
+
+    Where features look back rows are single samples, one per block: means would mix what lags tell apart.
+    """
     dynamics = model.dynamics
     rows = [i for i, n in enumerate(dynamics.states.names) if n.startswith("disturbance.")]
     if not rows:
@@ -107,15 +110,18 @@ def discrepancy(model: IdentifiedModel, data: Dataset, names: Sequence[str]) -> 
     look = feature_function(dynamics, names)
     times = [model.values[n] for n in model.values if n.startswith("disturbance.") and n.endswith(".T")]
     block = max(1, round(min(max(times, default=0.1), 0.5) / model.sample_time))
-    z, y, flights = [], [], []
+    z: list[FloatArray] = []
+    y: list[FloatArray] = []
+    flights: list[str] = []
     for flight in data:
         for segment in flight.segments:
             n = segment.n // block * block
             if not n:
                 continue
             states, seen = smoothed_features(runner, segment, look)
-            z.append(seen[:n].reshape(-1, block, seen.shape[1]).mean(axis=1))
-            y.append(states[:n, rows].reshape(-1, block, len(rows)).mean(axis=1))
+            for found, values in ((z, seen), (y, states[:, rows])):
+                blocks = values[:n].reshape(-1, block, values.shape[1])
+                found.append(blocks[:, block // 2] if reach(names) else blocks.mean(axis=1))
             flights += [flight.name] * (n // block)
     if not z:
         raise ModelError("no flight is long enough to see its disturbances", expected=f"more than {block} samples")

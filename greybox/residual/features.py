@@ -10,10 +10,12 @@
 | height | position z, world | m |
 | any input column | u1 .. un, vbat: the command of the sample | as declared |
 | any state | by its own name | as declared |
+| u1[t-3] | an input column three samples ago | as declared |
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
@@ -23,6 +25,19 @@ from greybox.frames import euler_zyx, rotation_matrix
 from greybox.model.dynamics import Dynamics
 from greybox.model.noise import noise_states
 from greybox.symbolic import Expr, Layout, Signal
+
+_LAGGED = re.compile(r"(.+)\[t(?:-([1-9][0-9]*))?\]")
+
+
+def lag_of(name: str) -> tuple[str, int]:
+    """("u1", 3) of "u1[t-3]", ("u1", 0) of "u1" and "u1[t]"."""
+    found = _LAGGED.fullmatch(name)
+    return (found[1], int(found[2] or 0)) if found else (name, 0)
+
+
+def reach(names: Sequence[str]) -> int:
+    """How many samples back the features look at commands."""
+    return max((lag_of(n)[1] for n in names), default=0)
 
 
 def _blocks(dynamics: Dynamics) -> dict[str, list[int]]:
@@ -66,22 +81,33 @@ def default_features(dynamics: Dynamics) -> tuple[str, ...]:
     return (*(n for n in there if n.split(".")[0] == "body_velocity"), "p", "q", "r", *rotors)
 
 
+def with_lags(dynamics: Dynamics, names: Sequence[str], lags: int) -> tuple[str, ...]:
+    """The features `names`, then the commands of this sample and of `lags` samples before it."""
+    commands = [n for n in dynamics.inputs.names if n != "vbat"]
+    past = (f"{n}[t-{lag}]" for lag in range(1, lags + 1) for n in commands)
+    return tuple(dict.fromkeys((*names, *commands, *past)))
+
+
 def feature_layout(dynamics: Dynamics, names: Sequence[str]) -> Layout:
     """Names with units. Raises `UnknownNameError` for a feature that the model does not offer."""
     there = available(dynamics)
+    units = dict(there) | {n: there[lag_of(n)[0]] for n in names if lag_of(n)[0] in dynamics.inputs}
     for n in names:
-        if n not in there:
+        if n not in units:
             raise UnknownNameError("feature", n, there)
-    return Layout([Signal(name=n, unit=there[n]) for n in names])
+    return Layout([Signal(name=n, unit=units[n]) for n in names])
 
 
 def features(dynamics: Dynamics, names: Sequence[str], x: Expr, window: Expr) -> Expr:
-    """The features `names` (m,) at state x (n_x) and command window (n_u x (past + 1 + future))."""
+    """The features `names` (m,) at state x (n_x) and command window (n_u x (past + 1 + future)), whose past may be longer
+    than that of the model. Raises `UnknownNameError`."""
     feature_layout(dynamics, names)
     blocks = _blocks(dynamics)
     table: dict[str, Expr] = {n: x[i] for i, n in enumerate(dynamics.states.names)}
-    u = window[:, dynamics.window[0]]
-    table |= {n: u[i] for i, n in enumerate(dynamics.inputs.names)}
+    now, place = window.shape[1] - 1 - dynamics.window[1], {n: i for i, n in enumerate(dynamics.inputs.names)}
+    table |= {n: window[i, now] for n, i in place.items()}
+    lagged = {n: lag_of(n) for n in names if n not in table and lag_of(n)[0] in place}
+    table |= {n: window[place[of], now - lag] for n, (of, lag) in lagged.items()}
     if "attitude" in blocks:
         rotation = rotation_matrix(x[blocks["attitude"]])
         angles = euler_zyx(x[blocks["attitude"]])

@@ -19,9 +19,9 @@ import casadi as ca
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush
+from greybox.model.layer import LearnedPush, own_window
 from greybox.residual.feature_posterior import FeaturePosterior
-from greybox.residual.features import features
+from greybox.residual.features import features, reach
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, given
 
@@ -51,14 +51,9 @@ class HybridModel(LearnedPush):
                 raise ModelError(
                     f"learned {signal.name} in another unit", expected=unit, got=signal.unit
                 )
-        past, future = self.inner.window
         x = ca.SX.sym("x", len(self.inner.states))
-        features(
-            self.inner,
-            self.posterior.inputs.names,
-            x,
-            ca.SX.sym("u", len(self.inner.inputs), past + 1 + future),
-        )
+        window = ca.SX.sym("u", len(self.inner.inputs), sum(self.window) + 1)
+        features(self.inner, self.posterior.inputs.names, x, window)
 
     @property
     def base(self) -> Dynamics:
@@ -68,6 +63,12 @@ class HybridModel(LearnedPush):
     def on(self, base: Dynamics) -> HybridModel:
         """The same push on another model."""
         return replace(self, inner=base)
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """(past, future) commands that the inner model or its learned part looks at."""
+        past, future = self.inner.window
+        return max(past, reach(self.posterior.inputs.names)), future
 
     @property
     def name(self) -> str:
@@ -110,8 +111,7 @@ class HybridModel(LearnedPush):
         return push if w is None else w + push
 
     def _held(self, u: Expr) -> Expr:
-        past, future = self.inner.window
-        return ca.repmat(u, 1, past + 1 + future)
+        return ca.repmat(u, 1, sum(self.window) + 1)
 
     def f(self, t: Expr, x: Expr, u: Expr, p: Expr, w: Expr = None) -> Expr:
         """dx/dt under the learned push."""
@@ -123,7 +123,8 @@ class HybridModel(LearnedPush):
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample with the learned push held over it."""
-        return self.inner.step(t, x, window, p, self._push(x, window, w), dt)
+        push = self._push(x, window, w)
+        return self.inner.step(t, x, own_window(self.inner, window), p, push, dt)
 
     def output(
         self,
@@ -136,4 +137,5 @@ class HybridModel(LearnedPush):
         lasting: Expr = None,
     ) -> Expr:
         """Outputs see the learned push as they see the process noise of its channel."""
-        return self.inner.output(t, x, window, p, self._push(x, window, w), dt, *given(lasting))
+        push = self._push(x, window, w)
+        return self.inner.output(t, x, own_window(self.inner, window), p, push, dt, *given(lasting))

@@ -20,17 +20,17 @@ from typing import Any
 import numpy as np
 
 from greybox.data import Dataset
-from greybox.errors import ModelError, UnknownNameError
+from greybox.errors import ModelError
 from greybox.model.identified import IdentifiedModel, library_versions
-from greybox.model.layer import physics_of
+from greybox.model.layer import LongerWindow, physics_of
 from greybox.progress import in_notebooks
 from greybox.residual.candidates import FeatureMaker, gp_candidates
 from greybox.residual.discrepancy import discrepancy, disturbed_model
 from greybox.residual.feature_posterior import FeaturePosterior
-from greybox.residual.features import available, default_features
+from greybox.residual.features import available, default_features, feature_layout, reach, with_lags
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import split_name
-from greybox.residual.learners import GP, Learner, learner_for
+from greybox.residual.learners import GP, Learner, LooksBack, learner_for
 from greybox.residual.noise_levels import refit_noise
 from greybox.residual.open_loop_fit import OpenLoopFit, fit_open_loop
 from greybox.residual.weight_space import Candidate
@@ -178,14 +178,16 @@ def learn(
             raise ModelError("place competes with other sets, features are the only one", fix="one of the two")
         feature_sets(model, place=True)
     if features is not None:
-        there = available(model.dynamics)
-        for n in features:
-            if n not in there:
-                raise UnknownNameError("feature", n, there)
+        feature_layout(model.dynamics, features)
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     names = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
-    whole = discrepancy(base, train, tuple(dict.fromkeys(n for own in names.values() for n in own)))
+    if isinstance(other, LooksBack) and other.lags:
+        names = {label: with_lags(base.dynamics, own, other.lags) for label, own in names.items()}
+    every = tuple(dict.fromkeys(n for own in names.values() for n in own))
+    # Who looks back sees more commands than the physics does.
+    seeing = replace(base, dynamics=LongerWindow(inner=base.dynamics, past=reach(every))) if reach(every) else base
+    whole = discrepancy(seeing, train, every)
     sets = {label: whole.select(own) for label, own in names.items()}
     found: Mapping[str, Candidate]
     reports: list[Mapping[str, Any]] = []
@@ -198,7 +200,7 @@ def learn(
         maker = FeatureMaker(learner=other, sets=sets, points=int(points), seed=seed)
         found = maker.candidates(lambda text, share: say(text, 0.1 + 0.3 * share))
     result, chosen, gains = fit_open_loop(
-        base, found, train, maker=maker, progress=lambda text, share: say(text, 0.4 + 0.4 * share)
+        seeing, found, train, maker=maker, progress=lambda text, share: say(text, 0.4 + 0.4 * share)
     )
     null = result.status == "null"
     posterior = result.posterior

@@ -41,6 +41,7 @@ from greybox.estimation.record import Record, make_record
 from greybox.estimation.settling import RecordGains
 from greybox.estimation.smoothing import transitions
 from greybox.model.identified import IdentifiedModel
+from greybox.model.layer import own_window
 from greybox.model.parameter import Parameter
 from greybox.residual.discrepancy import feature_function
 from greybox.residual.features import features
@@ -104,7 +105,8 @@ class WeightedHybrid(HybridModel):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample under the weighted push."""
         push = self._spread @ self._weighted(x, window, p)
-        return self.inner.step(t, x, window, p[: len(self.inner.parameters)], w + push, dt)
+        own = p[: len(self.inner.parameters)]
+        return self.inner.step(t, x, own_window(self.inner, window), own, w + push, dt)
 
     def output(
         self,
@@ -119,7 +121,7 @@ class WeightedHybrid(HybridModel):
         """Outputs under the weighted push."""
         push = self._spread @ self._weighted(x, window, p)
         own = p[: len(self.inner.parameters)]
-        return self.inner.output(t, x, window, own, w + push, dt, *given(lasting))
+        return self.inner.output(t, x, own_window(self.inner, window), own, w + push, dt, *given(lasting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
 """RateController: model predictive control of body rates on any exported predictor of them.
 
-    min  1/2 sum_k |y_k - r|^2 + w_c^2 (mean u_k - c)^2 + w_d^2 |u_k - u_(k-1)|^2 + penalty (s + 5 s^2)
-    s.t. |y_k| <= limit - kappa sigma_k + s,  u_min <= u_k <= u_max,  k = 0 .. N - 1
+    min  1/2 sum_k |y_k - r|^2 + w_c^2 (mean u_k - c)^2 + w_d^2 |u_k - u_(k-1)|^2 + penalty (s_k + 5 s_k^2)
+    s.t. |y_k| <= limit - kappa sigma_k + s_k,  u_min <= u_k <= u_max,  k = 0 .. N - 1
 
 y_k is linearised along the plan before (one real-time iteration a sample, Diehl et al. 2005, SIAM J. Control and
 Optimization 43(5)); r (rates) and c (collective command) are held over the horizon. sigma_k is what the predictor says
@@ -34,7 +34,7 @@ GIVEN = ("phi[t-1]", "theta[t-1]")
 @dataclass(frozen=True, kw_only=True)
 class RateProblem:
     """Horizon and weights: `limit` [rad/s], `collective` and `change` [rad/s per unit of command], `penalty` per rad/s
-    beyond a limit."""
+    beyond a limit at any stage."""
 
     limit: float
     horizon: int = 15
@@ -92,7 +92,7 @@ class RateController:
         self._place = [GIVEN.index(n) for n in f.parameters.names]
         n = problem.horizon
         self._n_u, self._n_y = len(f.inputs), len(f.outputs)
-        wide = self._n_u * n + self._n_y
+        wide = (self._n_u + self._n_y) * n
         pattern = {"h": ca.Sparsity.dense(wide, wide), "a": ca.Sparsity.dense(2 * self._n_y * n, wide)}
         self._solve = ca.conic("rates", "daqp", pattern, {"error_on_fail": False})
         shift = np.eye(self._n_u * n) - np.eye(self._n_u * n, k=-self._n_u)
@@ -178,20 +178,21 @@ class RateController:
         flat, wide = nominal.ravel(), self._n_u * n
         before = self._shift @ flat
         before[: self._n_u] -= self.u
-        hessian = np.zeros((wide + n_y, wide + n_y))
+        slacks = n_y * n  # one per rate and stage: a breach that cannot be helped frees no other stage
+        hessian = np.zeros((wide + slacks, wide + slacks))
         hessian[:wide, :wide] = slope.T @ slope + self._smooth
-        hessian[wide:, wide:] = 10.0 * problem.penalty * np.eye(n_y)
-        gradient = np.full(wide + n_y, problem.penalty)
+        hessian[wide:, wide:] = 10.0 * problem.penalty * np.eye(slacks)
+        gradient = np.full(wide + slacks, problem.penalty)
         gradient[:wide] = slope.T @ (y - rates).ravel() + problem.change**2 * (self._shift.T @ before)
         gradient[:wide] += problem.collective**2 * (self._mean.T @ (self._mean @ flat - collective))
         room = np.maximum(problem.limit - self.kappa * sigma, TIGHTEST * problem.limit).ravel()
-        slack = np.tile(np.eye(n_y), (n, 1))
+        slack = np.eye(slacks)
         rows = np.vstack([np.hstack([slope, -slack]), np.hstack([-slope, -slack])])
         upper = np.concatenate([room - y.ravel(), room + y.ravel()])
         found = self._solve(
             h=hessian, g=gradient, a=rows, lba=-np.inf, uba=upper,
-            lbx=np.concatenate([problem.u_min - flat, np.zeros(n_y)]),
-            ubx=np.concatenate([problem.u_max - flat, np.full(n_y, np.inf)]),
+            lbx=np.concatenate([problem.u_min - flat, np.zeros(slacks)]),
+            ubx=np.concatenate([problem.u_max - flat, np.full(slacks, np.inf)]),
         )  # fmt: skip
         change = found["x"].full().ravel()[:wide]
         solved = bool(self._solve.stats()["success"]) and bool(np.isfinite(change).all())

@@ -275,7 +275,7 @@ def test_its_c_is_the_model(name: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     f, post = bundle.functions, model.dynamics.posterior
     points = [cases.point(f, rng, 0.5) for _ in range(5)]
-    z = np.array([0.7])
+    z = np.full(len(post.inputs), 0.7)
     own = post.expressions(ca.DM(z), ("mean", "variance"))
     p = f.parameter_values
     assert np.allclose(f.functions["gp_mean"](z, p).full(), own["mean"].full(), rtol=1e-12)

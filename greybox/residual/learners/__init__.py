@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.residual.learners.deep_ensemble import DeepEnsemble
-from greybox.residual.learners.learner import Features, Learner
+from greybox.residual.learners.learner import Features, Learner, LooksBack
 from greybox.residual.learners.neural import NeuralLastLayer
 from greybox.residual.learners.random_features import RandomFeatures
 from greybox.residual.learners.sparse_law import SparseLaw
+from greybox.residual.learners.temporal_convolution import TemporalConvolution
 
-__all__ = ["GP", "LEARNERS", "Features", "Learner", "learner_for", "learner_of"]
+__all__ = ["GP", "LEARNERS", "Features", "Learner", "LooksBack", "learner_for", "learner_of"]
 
 GP = "gp"
 LEARNERS: Mapping[str, Callable[[], Learner]] = {
@@ -20,6 +21,7 @@ LEARNERS: Mapping[str, Callable[[], Learner]] = {
     NeuralLastLayer.name: NeuralLastLayer,
     DeepEnsemble.name: DeepEnsemble,
     SparseLaw.name: SparseLaw,
+    TemporalConvolution.name: TemporalConvolution,
 }
 
 

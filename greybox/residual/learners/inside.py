@@ -14,7 +14,7 @@ flights chose, as a stationary Gaussian process has it by itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.stats
 
-from greybox.residual.learners.learner import Features, Learner
+from greybox.residual.learners.learner import Features, Learner, LooksBack
 from greybox.symbolic import Expr, FloatArray, evaluate
 
 SHARE = 0.95
@@ -46,6 +46,11 @@ class Inside:
         return self.learner.name
 
     @property
+    def lags(self) -> int:
+        """As the learner asks for them."""
+        return self.learner.lags if isinstance(self.learner, LooksBack) else 0
+
+    @property
     def centred(self) -> bool:
         """As the learner asks for it."""
         return bool(getattr(self.learner, "centred", True))
@@ -54,6 +59,10 @@ class Inside:
     def ensemble(self) -> bool:
         """As the learner says."""
         return bool(getattr(self.learner, "ensemble", False))
+
+    def of(self, names: Sequence[str]) -> Inside:
+        """That of the learner for inputs of these names."""
+        return Inside(self.learner.of(names)) if isinstance(self.learner, LooksBack) else self
 
     def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
         """Those of the learner, each faded."""

@@ -11,7 +11,7 @@ and exported like that of the Gaussian process, whose features are those of its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from greybox.symbolic import Expr, FloatArray
@@ -31,3 +31,15 @@ class Learner(Protocol):
     def features(self, x: FloatArray, y: FloatArray, *, points: int, seed: int) -> Mapping[str, Features]:
         """Candidates by name, which compete on left-out flights: x (N, n_in) standardised inputs, y (N, n_out) the force,
         torque or other push that the physics missed there, in units of its spread. About `points` features each."""
+
+
+@runtime_checkable
+class LooksBack(Learner, Protocol):
+    """A learner that looks at earlier commands too; it is told what its inputs are called."""
+
+    @property
+    def lags(self) -> int:
+        """Earlier samples of every command that it asks for on physics; on linear models the inputs are the user's."""
+
+    def of(self, names: Sequence[str]) -> Learner:
+        """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""

@@ -72,6 +72,17 @@ def test_a_tightened_plan_stays_that_many_deviations_inside(controllers, name):
     assert tight.y[1:, 0].max() < loose.y[1:, 0].max() - 2.5 * tight.sigma[1, 0]
 
 
+def test_a_breach_that_cannot_be_helped_frees_no_later_stage(controllers):
+    """Measured beyond the limit and asked for more: the plan comes back at once and stays inside."""
+    pilot = controllers["linear"]
+    settled(pilot, 0.0, np.array([0.9, 0.0]))
+    for _ in range(3):
+        pilot.sample(np.array([1.8, 0.0]), (0.0, 0.0), np.array([2.0, 0.0]), 0.5)
+    y, limit = pilot.plan.y[:, 0], PROBLEM.limit
+    assert pilot.plan.solved and y[0] > limit + 0.2
+    assert y[3:].max() < limit + 0.01, y
+
+
 def test_what_the_process_does_not_know_widens_the_tube(controllers):
     pilot = controllers["hybrid"]
     near, far = ((pilot.start(u), pilot._linearised(pilot.nominal)[2])[1] for u in (np.full(4, 0.1), np.full(4, 9.0)))
