@@ -17,7 +17,7 @@ COLUMNS = 7
 TOGETHER = "all that is left out"
 """The last row of every block."""
 
-LEGEND = "folded without a number: counted in another row; lost without one: of a sensor, see sensors.toml"
+LEGEND = "without a number: counted in another row, of a sensor (sensors.toml), or a push (--draws)"
 
 
 def matrix(statements: Sequence[Statement]) -> str:
@@ -28,11 +28,11 @@ def matrix(statements: Sequence[Statement]) -> str:
     lines = [f"said, folded or lost, with the mm that a flight of {FLIGHT_TIME:g} s goes astray by it:"]
     for first in range(0, len(statements), COLUMNS):
         block = statements[first : first + COLUMNS]
-        wide = [max(len(s.target), 10) + 2 for s in block]
         rows = [("effect", [s.target for s in block])]
         for effect in effects:
             rows.append((effect, [_cell(s, effect) for s in block]))
         rows.append((TOGETHER, ["" if s.whole is None else _millimetres(s.whole.position) for s in block]))
+        wide = [max(map(len, column)) + 2 for column in zip(*(cells for _, cells in rows), strict=True)]
         for head, cells in rows:
             lines.append((head.ljust(width) + "".join(c.ljust(w) for c, w in zip(cells, wide, strict=True))).rstrip())
         lines.append("")
