@@ -87,7 +87,7 @@ def test_the_table_of_effects_is_what_every_target_writes(tmp_path: Path) -> Non
         head, *rows = block.splitlines()
         starts = [m.start() for m in re.finditer(r"\S+", head)]
         names = head.split()[1:]
-        for row in (r for r in rows if not r == LEGEND):
+        for row in (r for r in rows if r != LEGEND):
             parts = [row[a:b].strip() for a, b in pairwise([*starts, None])]
             for name, cell in zip(names, parts[1:], strict=True):
                 cells.setdefault(name, {})[parts[0]] = cell
