@@ -12,11 +12,13 @@ where that is nearly the same, the rest as they are.
 The covariance is carried over so that means and covariances stay, not linearly: of a flat craft,
 whose second moment along z is as uncertain as it is large, a linear one is several times too wide;
 and thrust and mass, which flights know by their ratio, have to move alike. What a normal
-distribution of D has below zero is first cut off, number by number.
+distribution of D has below zero is first cut off, number by number, and all other parameters go
+along: thrust over inertia, which flights know far better than either, stays what it was.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -116,14 +118,8 @@ class Coordinates:
             c = slope @ c @ slope.T
             plain = _factors(own, self.fixed)
             centre[at] = plain
-            first = at[:3]
-            sigma = np.sqrt(np.maximum(np.diag(c)[first], 1e-300))
-            away = centre[first] / sigma
-            above = norm.pdf(away) / norm.cdf(away)
-            shrunk = np.ones(len(c))
-            shrunk[first] = np.sqrt(np.maximum(1.0 - above * (above + away), 0.0))
-            c *= np.outer(shrunk, shrunk)
-            centre[first] += sigma * above
+            for i in at[:3]:
+                centre, c = _above_zero(centre, c, i)
         # of log-normal numbers: cov = mean mean' (exp(cov of the logarithms) - 1)
         size = np.where(self.positive, centre, 1.0)
         c /= np.outer(size, size)
@@ -138,6 +134,17 @@ class Coordinates:
             centre[t] = centre[t] * plain[self.inertia.index(d)] / size[d] - c[t, d]
         centre = np.where(self.positive, np.log(size) - 0.5 * np.diag(c), centre)
         return Coordinates(**{**vars(self), "centre": centre, "covariance": c})
+
+
+def _above_zero(mean: FloatArray, c: FloatArray, i: int) -> tuple[FloatArray, FloatArray]:
+    """Mean (d,) and covariance (d, d) of what a normal distribution has where its number i is positive
+    (Tallis 1961, JRSS B 23(1)): the others go along as far as they are correlated with it."""
+    sigma = math.sqrt(max(c[i, i], 1e-300))
+    away = mean[i] / sigma
+    above = math.exp(norm.logpdf(away) - norm.logcdf(away))
+    moves = c[:, i] / sigma
+    left = c - min(above * (above + away), 1.0) * np.outer(moves, moves)
+    return mean + above * moves, left
 
 
 def _is_factor(d: Parameter) -> bool:

@@ -37,9 +37,9 @@ FEWEST_DRAWS = 20
 """Below this number of craft, the outermost ones are no band of 95 %."""
 SPACING, START = 2.0, 5.0
 """Seconds between the instants from which simulations start, and before the first of them."""
-_Sums = dict[tuple[str, float], list[FloatArray]]
-"""(group, horizon) -> inside and width of the band, inside and width of the box, distance of the
-real value from the middle of the band; one number per instant and axis."""
+_Sums = dict[tuple[str, float], dict[str, list[FloatArray]]]
+"""(group, horizon) -> flight -> inside and width of the band, inside and width of the box, distance
+of the real value from the middle of the band; one number per instant and axis."""
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "position": ("x", "y", "z"),
     "velocity": ("vx", "vy", "vz"),
@@ -54,12 +54,15 @@ class Covered:
     """One group at one horizon [s]: share of real values inside the band, of `count` (instants
     times axes); mean width of the band and of that of the box, in the group's unit; `needed`: the
     width that holds 95 % of the real values about the band's middle. `adapted`: whether the
-    flight's own parameters were adapted on its first seconds."""
+    flight's own parameters were adapted on its first seconds. `by_flight`: the share of each
+    flight; `share_error`: the standard error of `share` by how flights differ, None of one."""
 
     adapted: bool
     group: str
     seconds: float
     share: float
+    share_error: float | None
+    by_flight: Mapping[str, float]
     count: int
     width: float
     box_width: float
@@ -79,17 +82,24 @@ def format_table(rows: tuple[Covered, ...]) -> str:
         if not own:
             continue
         what = f"after its first {START:g} s" if adapted else "a new flight"
-        head = (
-            "   ahead   inside    of   width     needed          box inside  box width   box/band"
-        )
-        lines.append(f"  {what:20}{head}")
+        head = "   ahead     inside        of   width     needed          box inside  box width   "
+        lines.append(f"  {what:20}{head}box/band  box/needed")
         for r in own:
+            error = "" if r.share_error is None else f"+- {100 * r.share_error:.1f}"
             lines.append(
-                f"  {r.group:20} {r.seconds:4g} s {100 * r.share:6.1f} % {r.count:5d}"
+                f"  {r.group:20} {r.seconds:4g} s {100 * r.share:6.1f} {error:7} % {r.count:5d}"
                 f"   {r.width:<9.3g} {r.needed:<9.3g} {UNITS[r.group]:6}"
-                f"{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}  {r.box_width / r.width:.1f}"
+                f"{100 * r.box_share:6.1f} %   {r.box_width:<9.3g}  {r.box_width / r.width:<8.1f}"
+                f"  {r.box_width / r.needed:.1f}"
             )
+        held = {n: np.mean([r.by_flight[n] for r in own if n in r.by_flight]) for n in _names(own)}
+        said = ", ".join(f"{n} {100 * v:.0f} %" for n, v in sorted(held.items(), key=lambda i: i[1]))
+        lines.append(f"  {'of each flight':20} {said}")
     return "\n".join(lines)
+
+
+def _names(rows: list[Covered]) -> list[str]:
+    return list(dict.fromkeys(n for r in rows for n in r.by_flight))
 
 
 def coverage(
@@ -112,7 +122,7 @@ def coverage(
                 wide = box if sums is new else _box(draws, seed, values.mean(axis=0))
                 for which, craft, levels in ((0, values, draws.levels), (1, wide, None)):
                     for seen in ahead(model, module, craft, levels, start, seed):
-                        _keep(sums, seen, which)
+                        _keep(sums, seen, which, flight.name)
     if not new:
         raise DataError(
             "no flight is long enough to check",
@@ -326,13 +336,13 @@ def _noise(
     return np.asarray(level * random.standard_normal(shape))
 
 
-def _keep(sums: _Sums, seen: Seen, which: int) -> None:
+def _keep(sums: _Sums, seen: Seen, which: int, flight: str) -> None:
     """Share inside and width of the band about its median."""
     off, away = seen.about_the_middle()
     low, high = np.quantile(off, ((1 - LEVEL) / 2, (1 + LEVEL) / 2), axis=1)
     good = np.isfinite(away)
     inside = ((away >= low) & (away <= high))[good]
-    entry = sums.setdefault((seen.group, seen.seconds), [np.zeros(0)] * 5)
+    entry = sums.setdefault((seen.group, seen.seconds), {}).setdefault(flight, [np.zeros(0)] * 5)
     if which == 0:
         entry[4] = np.concatenate([entry[4], np.abs(away[good])])
     entry[2 * which] = np.concatenate([entry[2 * which], inside.astype(float)])
@@ -340,20 +350,42 @@ def _keep(sums: _Sums, seen: Seen, which: int) -> None:
 
 
 def _rows(sums: _Sums, adapted: bool) -> tuple[Covered, ...]:
-    return tuple(
-        Covered(
-            adapted=adapted,
-            needed=2.0 * float(np.quantile(e[4], LEVEL)),
-            group=g,
-            seconds=h,
-            share=float(e[0].mean()),
-            count=len(e[0]),
-            width=float(e[1].mean()),
-            box_width=float(e[3].mean()),
-            box_share=float(e[2].mean()),
+    rows = []
+    for (g, h), flights in sorted(sums.items(), key=lambda i: (list(GROUPS).index(i[0][0]), i[0][1])):
+        inside, width, box_inside, box_width, away = (
+            np.concatenate(parts) for parts in zip(*flights.values(), strict=True)
         )
-        for (g, h), e in sorted(sums.items(), key=lambda i: (list(GROUPS).index(i[0][0]), i[0][1]))
-    )
+        if not inside.size:
+            continue
+        rows.append(
+            Covered(
+                adapted=adapted,
+                needed=2.0 * float(np.quantile(away, LEVEL)),
+                group=g,
+                seconds=h,
+                share=float(inside.mean()),
+                share_error=share_error([e[0] for e in flights.values()]),
+                by_flight={n: float(e[0].mean()) for n, e in flights.items() if e[0].size},
+                count=len(inside),
+                width=float(width.mean()),
+                box_width=float(box_width.mean()),
+                box_share=float(box_inside.mean()),
+            )
+        )
+    return tuple(rows)
+
+
+def share_error(inside: list[FloatArray]) -> float | None:
+    """Standard error of the share of all values (n,) of several flights, which are the samples: the
+    values of one flight go together (Cochran 1977, Sampling Techniques, eq. 2.39: a ratio). None
+    for one flight."""
+    inside = [i for i in inside if i.size]
+    n, count = len(inside), sum(len(i) for i in inside)
+    if n < 2:
+        return None
+    share = sum(float(i.sum()) for i in inside) / count
+    off = [float(i.sum()) - share * len(i) for i in inside]
+    return math.sqrt(n / (n - 1) * sum(v * v for v in off)) / count
 
 
 # ---------------------------------------------------------------- rotations of whole batches

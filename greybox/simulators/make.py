@@ -16,6 +16,7 @@ from greybox.shown import Cell, Shown
 from greybox.simulators.coverage import Covered, coverage, format_table
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
+from greybox.simulators.matrix import matrix
 from greybox.simulators.push_levels import with_push_levels
 from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
@@ -59,8 +60,9 @@ class Twin(Shown):
         ]
 
     def summary(self) -> str:
-        """The table of every target."""
-        return "\n\n".join([*(s.text for s in self.statements), *self.notes])
+        """The table of every target, and of several one table of effects and targets."""
+        table = [matrix(self.statements)] if len(self.statements) > 1 else []
+        return "\n\n".join([*(s.text for s in self.statements), *table, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values of twin.json (schema "greybox.twin/1")."""

@@ -1,17 +1,23 @@
 """Exported simulators on real flights that no fit saw, beside our own model and the Crazyflies that ship with them.
 
-    python -m scenarios.studies.twin_flights MODEL.json LOG... [--targets rotorpy,mujoco,drone-models,pybullet] [--out F]
+    python -m scenarios.studies.twin_flights MODEL.json LOG... [--targets rotorpy,mujoco,drone-models,pybullet]
+        [--start smoothed] [--out F]
 
 From instants of each flight (every `SPACING` seconds, after the first five, on which the flight's own parameters are
 adapted) the recorded commands are flown for half a second: by our model, by each simulator on the files of `greybox twin`
 (with and without rest.py) and by RotorPy's and drone-models' own Crazyflie. All start from the same filtered state; sensor
 errors (bias, misalignment, delay) are taken as our model has them, for everybody. Shipped craft get our command map and
 delay, scaled so that they hover at our hover command: more than their files say.
+
+The filter knows the start by the samples before it. `--start smoothed` begins from what the whole flight says of it, so
+that what remains is the simulators' own; the row `the start alone` is how far our model flies apart from the two starts:
+about the least that a perfect simulator would be off by from the filtered one.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,6 +30,7 @@ import numpy.typing as npt
 from greybox.data import Flight
 from greybox.data.logs import read_logs
 from greybox.estimation.filtering import Filter
+from greybox.estimation.smoothing import smooth
 from greybox.files import write_json
 from greybox.model.identified import IdentifiedModel
 from greybox.residual.files import load_model
@@ -35,14 +42,18 @@ from scenarios.twins.written import FLYERS, SHIPPED, Start, load
 
 SPACING, ADAPT, SECONDS = 1.0, 5.0, 0.5
 HORIZONS = (0.1, 0.5)
+OURS, START = "our model", "the start alone"
 UNITS = {"position": "m", "velocity": "m/s", "rotation": "rad", "rate": "rad/s"}
 IntArray = npt.NDArray[np.int64]
 Errors = dict[str, dict[str, list[FloatArray]]]
 """Who flew -> group -> squared errors (instants, steps), one array per stretch."""
 
 
-def study(model: IdentifiedModel, flights: Sequence[Flight], targets: Sequence[str], say: Callable[[str], None]) -> Errors:
-    """Squared errors of everybody."""
+def study(
+    model: IdentifiedModel, flights: Sequence[Flight], targets: Sequence[str], say: Callable[[str], None],
+    *, smoothed: bool = False,
+) -> Errors:  # fmt: skip
+    """Squared errors of everybody, from the filter's states or from `smoothed` ones."""
     errors: Errors = {}
     for flight in flights:
         filter_ = Filter(model)
@@ -60,12 +71,19 @@ def study(model: IdentifiedModel, flights: Sequence[Flight], targets: Sequence[s
                 if not len(rows):
                     continue
                 real = {g: segment.matrix(c, missing_ok=True) for g, c in _columns(segment.channels).items()}
-                flown = _flown(module, commands, place, targets, run.states[rows], run.record.inputs, rows, steps, dt)
-                for who, states in flown.items():
-                    seen = _seen(module, states, run.record.inputs, rows, real)
-                    for group, value in seen.items():
-                        truth = np.stack([real[group][rows + 1 + k] for k in range(steps)], axis=1)
-                        errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth))
+                inputs, best = run.record.inputs, smooth(filter_, run).states[rows]
+                starts = best if smoothed else run.states[rows]
+                flown = _flown(module, commands, place, targets, starts, inputs, rows, steps, dt)
+                seen = {who: _seen(module, states, inputs, rows, real) for who, states in flown.items()}
+                truth = {g: np.stack([v[rows + 1 + k] for k in range(steps)], axis=1) for g, v in real.items()}
+                for who, values in seen.items():
+                    for group, value in values.items():
+                        errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth[group]))
+                if not smoothed:
+                    apart = _seen(module, _ours(module, best, inputs, rows, steps), inputs, rows, real)
+                    for group, value in apart.items():
+                        there = np.where(np.isfinite(truth[group]), seen[OURS][group], np.nan)
+                        errors.setdefault(START, {}).setdefault(group, []).append(_squared(group, value, there))
         say(f"{flight.name}: {', '.join(errors)}")
     return errors
 
@@ -88,8 +106,8 @@ def _flown(
     pushes = [i for i, n in enumerate(names) if n.startswith("disturbance.")]
     forgotten = starts.copy()
     forgotten[:, pushes] = 0.0
-    out = {"our model": _ours(module, starts, inputs, rows, steps)}
-    out["our model, pushes forgotten"] = _ours(module, forgotten, inputs, rows, steps)
+    out = {OURS: _ours(module, starts, inputs, rows, steps)}
+    out[f"{OURS}, pushes forgotten"] = _ours(module, forgotten, inputs, rows, steps)
     count = len(rotors)
     flyers: dict[str, Any] = {}
     for name in targets:
@@ -155,7 +173,7 @@ def table(errors: Errors, dt: float) -> list[dict[str, Any]]:
         for group in groups:
             for h in HORIZONS:
                 k = round(h / dt) - 1
-                both = [np.concatenate([p[:, k] for p in e[group]]) for e in (groups, errors["our model"])]
+                both = [np.concatenate([p[:, k] for p in e[group]]) for e in (groups, errors[OURS])]
                 good = np.isfinite(both[0]) & np.isfinite(both[1])
                 error, ours = (float(np.sqrt(e[good].mean())) for e in both)
                 rows.append({"who": who, "group": group, "seconds": h, "rmse": error, "over_ours": error / ours,
@@ -179,19 +197,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("model", metavar="MODEL.json")
     parser.add_argument("logs", nargs="+", metavar="LOG")
     parser.add_argument("--targets", default="rotorpy,mujoco,drone-models")
+    parser.add_argument("--start", choices=("filtered", "smoothed"), default="filtered")
     parser.add_argument("--out", metavar="F.json")
     options = parser.parse_args(arguments)
     model = load_model(options.model)
     flights = read_logs(options.logs, model.physics.vehicle, rate=1.0 / model.sample_time)
     targets = options.targets.split(",")
     try:
-        errors = study(model, list(flights), targets, lambda line: print(line, flush=True))
+        say = functools.partial(print, flush=True)
+        errors = study(model, list(flights), targets, say, smoothed=options.start == "smoothed")
     except MissingSimulator as missing:
         raise SystemExit(str(missing)) from None
     rows = table(errors, model.sample_time)
     print(format_table(rows))
     if options.out:
-        write_json(options.out, {"model": options.model, "rows": rows})
+        write_json(options.out, {"model": options.model, "start": options.start, "rows": rows})
 
 
 if __name__ == "__main__":

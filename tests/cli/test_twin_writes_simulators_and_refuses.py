@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import locale
 import re
+import shutil
+import subprocess
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -154,6 +156,10 @@ def test_a_layout_that_a_target_cannot_express_is_refused_by_name_and_noted_othe
     assert main(["twin", str(vehicle), "--target", target, *out]) == 2
     assert "four rotors" in (said := capsys.readouterr().err) or "6" in said
     assert not (tmp_path / "t").exists()
+    if target == "px4":  # all targets once: the others are written
+        assert main(["twin", str(vehicle), *out]) == 0
+        assert "no files for px4: " in capsys.readouterr().out
+        assert (tmp_path / "t" / "gazebo").is_dir() and not (tmp_path / "t" / "px4").exists()
 
 
 def test_a_vehicle_file_in_grams_is_refused(
@@ -170,18 +176,32 @@ def test_a_vehicle_file_in_grams_is_refused(
     assert not Path(out).exists()
 
 
-def test_decimal_commas_of_the_locale_change_nothing(tmp_path: Path) -> None:
-    path, targets = written(tmp_path, {}), "gazebo,px4,ardupilot,mujoco,pybullet"
-    assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "a")]) == 0
-    kept = locale.setlocale(locale.LC_ALL)
-    for name in ("de_DE.UTF-8", "fr_FR.UTF-8", "de_DE"):
-        with contextlib.suppress(locale.Error):
-            locale.setlocale(locale.LC_ALL, name)
-            break
+@pytest.fixture
+def decimal_commas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A locale that writes 0,5; built here, as few machines have one installed."""
+    name, kept = "de_DE", locale.setlocale(locale.LC_ALL)
+    built = tmp_path / "locales"
+    built.mkdir()
+    if shutil.which("localedef"):
+        command = ["localedef", "-i", "de_DE", "-f", "ISO-8859-1", str(built / name)]
+        subprocess.run(command, check=False, capture_output=True)
+        if (built / name).is_dir():
+            monkeypatch.setenv("LOCPATH", str(built))
     try:
-        assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "b")]) == 0
-    finally:
-        locale.setlocale(locale.LC_ALL, kept)
+        locale.setlocale(locale.LC_ALL, name)
+    except locale.Error:
+        pytest.skip("no locale with decimal commas can be had here")
+    yield
+    locale.setlocale(locale.LC_ALL, kept)
+
+
+@pytest.mark.usefixtures("decimal_commas")
+def test_decimal_commas_of_the_locale_change_nothing(tmp_path: Path) -> None:
+    assert locale.localeconv()["decimal_point"] == ","
+    path, targets = written(tmp_path, {}), "gazebo,px4,ardupilot,mujoco,pybullet"
+    assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "b")]) == 0
+    locale.setlocale(locale.LC_ALL, "C")
+    assert main(["twin", path, "--target", targets, "--out", str(tmp_path / "a")]) == 0
     for one in (p for p in (tmp_path / "a").rglob("*") if p.is_file()):
         other = tmp_path / "b" / one.relative_to(tmp_path / "a")
         assert one.read_bytes() == other.read_bytes()

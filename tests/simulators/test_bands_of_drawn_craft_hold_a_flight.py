@@ -15,7 +15,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.model.model import build_model
 from greybox.model.noise import with_disturbance
 from greybox.model.parameter import ParameterValues
-from greybox.simulators.coverage import Covered, coverage, format_table
+from greybox.simulators.coverage import Covered, coverage, format_table, share_error
 from greybox.simulators.craft import Craft
 from greybox.simulators.draws import Draws, draw
 from greybox.simulators.make import twin
@@ -64,6 +64,18 @@ def test_the_right_craft_is_held_and_a_wrong_one_is_not(monkeypatch: pytest.Monk
         assert ours.share > 0.5 > theirs.share  # the plant has gusts that this model does not know
         assert ours.needed < 0.5 * theirs.needed
         assert ours.box_width > 3.0 * ours.width
+        assert ours.share_error is None and list(ours.by_flight.values()) == [ours.share]
+
+
+def test_the_error_of_a_share_counts_flights_and_not_instants() -> None:
+    """Twice the instants of the same flights tell nothing new; flights that agree leave no error; one has none."""
+    flights = [np.array([1.0, 1.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]), np.array([1.0, 1.0])]
+    error = share_error(flights)
+    assert share_error([np.tile(f, 2) for f in flights]) == pytest.approx(error)
+    assert share_error([np.array([1.0, 0.0])] * 3) == 0.0
+    assert share_error(flights[:1]) is None
+    even = [np.array([v]) for v in (1.0, 1.0, 1.0, 0.0)]  # one value a flight: that of a mean
+    assert share_error(even) == pytest.approx(np.std([1, 1, 1, 0], ddof=1) / 2.0)
 
 
 def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -110,6 +110,7 @@ def test_shipped_parameters_of_drone_models_are_read() -> None:
         ("a.toml", "[x]\nmass = 1.0", "which craft"),
         ("a.params", "1 1 SIH_MASS one 9", "not a parameter"),
         ("a.params", "1\t1\tSIH_MASS\t1.0\t9", "no SIH_IXX"),
+        ("a.params", "1\t1\tSIH_MASS\t1,5\t9", "not a parameter"),
     ],
 )
 def test_what_is_no_craft_is_refused_in_one_line(

@@ -4,10 +4,12 @@ files that they write parses in its own format."""
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 
 import jsonschema
@@ -18,8 +20,9 @@ from greybox.commands.twin import NAMES
 from greybox.files import OutputError
 from greybox.model.example import example_vehicle
 from greybox.simulators.craft import Craft
+from greybox.simulators.matrix import LEGEND, TOGETHER
 from greybox.simulators.targets import TARGETS
-from tests.simulators.identified import identified
+from tests.simulators.identified import AERODYNAMICS, identified
 
 NAME = "né \"<Craft> & \\ 'x' 7\""
 
@@ -72,6 +75,39 @@ def test_every_number_of_a_yaml_file_is_read_as_a_number(folder: Path) -> None:
 def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
     schema = json.loads(resources.files("greybox.schemas").joinpath("twin.json").read_text())
     jsonschema.validate(json.loads((folder / "twin.json").read_text()), schema)
+
+
+def test_the_table_of_effects_is_what_every_target_writes(tmp_path: Path) -> None:
+    """Status and size of every cell are those of the target's own LOST.txt, and no row of it is left out."""
+    values = {**AERODYNAMICS, "rotational_damping.d_p": 0.01, "thrust.c1": 0.5, "gyro_bias.b_x": 0.01}
+    made = gb.twin(identified({k: v for k, v in values.items() if k != "steady_wind.w_y"}), out=tmp_path)
+    shown = made.summary().split("goes astray by it:\n")[1].split("\n\n")
+    cells: dict[str, dict[str, str]] = {}
+    for block in shown:
+        head, *rows = block.splitlines()
+        starts = [m.start() for m in re.finditer(r"\S+", head)]
+        names = head.split()[1:]
+        for row in (r for r in rows if r != LEGEND):
+            parts = [row[a:b].strip() for a, b in pairwise([*starts, None])]
+            for name, cell in zip(names, parts[1:], strict=True):
+                cells.setdefault(name, {})[parts[0]] = cell
+    assert tuple(cells) == NAMES
+    effects = {e.split(".")[0] for e in values if not e.startswith("thrust.")}
+    for name, own in cells.items():
+        written = (tmp_path / name / "LOST.txt").read_text()
+        assert effects <= set(own), name
+        # what the file has no row for is said
+        rows = re.findall(r"^  (\S.*?) +(said|folded|lost) (.*)$", written, flags=re.MULTILINE)
+        assert {e for e, _, _ in rows} <= set(own)
+        assert {e for e, cell in own.items() if not cell.startswith(("said", "all"))} - {e for e, _, _ in rows} <= {TOGETHER}
+        for effect, status, text in rows:
+            astray = re.search(r"after 0.5 s (\S+) mm", text)
+            said, *number = own[effect].split()
+            assert said == status, (name, effect)
+            if astray:
+                assert float(number[0]) == pytest.approx(float(astray[1]), rel=0.05), (name, effect)
+            else:
+                assert not number or float(number[0]) < 0.05
 
 
 def test_files_that_exist_stay_unless_forced(tmp_path: Path) -> None:
