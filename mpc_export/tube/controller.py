@@ -36,6 +36,7 @@ from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
 from mpc_export.tube.descent import AWAY, BLIND, HELD, SLOW, Descent, Watch
 from mpc_export.tube.gate import Gate, plausible
@@ -114,6 +115,7 @@ class TubeController:
     `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
     (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
     they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage, to compare.
+    calibrate: planes and tilt are tightened by as much more or less as errors of forecasts turn out (calibrated.py).
     lost [m]: farther from the reference than this, a descent is declared; only for references that do not jump.
     The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
@@ -127,6 +129,7 @@ class TubeController:
     integrate: bool = True
     kernels: Sequence[CKernel] = ()
     white: bool = False
+    calibrate: bool = False
     lost: float = math.inf
     events: list[Event] = field(default_factory=list)
 
@@ -135,7 +138,8 @@ class TubeController:
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
         self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
-        self.filter: ModelFunctions = model_functions(model, with_=("filter",))
+        self.filter: ModelFunctions = model_functions(model, with_=("calibrate" if self.calibrate else "filter",))
+        self.calibrated = Calibrated(self.filter) if self.calibrate else None
         self.solver = TubeSolver(
             self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance(),
             fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
@@ -186,6 +190,8 @@ class TubeController:
         self.descent: Descent | None = None
         self.events.clear()
         self.gate.start()
+        if self.calibrated is not None:
+            self.calibrated.start()
         self._rival = Rival()
         self._watch = Watch()
         self._told: float | None = None
@@ -321,9 +327,10 @@ class TubeController:
                 self.p[i] = value
         y, there = self._there(measured)
         after, innovation, expected = self._step(self.estimate, self.u, self.p, y, there)
-        share = self.gate(innovation.full().ravel(), there)
+        share, believed = self.gate(innovation.full().ravel(), there), there
         if (share < 1.0).any():
-            after = self._step(self.estimate, self.u, self.p, *self._believed(time, share, y, there, expected))[0]
+            moved, believed = self._believed(time, share, y, there, expected)
+            after = self._step(self.estimate, self.u, self.p, moved, believed)[0]
         if called and not there.any():
             self._note(time, "no measurement")
         for j, (k, rows) in enumerate(self._pose):
@@ -331,6 +338,8 @@ class TubeController:
                 self._seen[j] = time
         found = after.full().ravel()
         if np.isfinite(found).all():
+            if self.calibrated is not None:
+                self.calibrated.sees(self.estimate, found, self.u, self.p, y, believed)
             self.estimate = found
         else:
             self._note(time, "the filter's estimate is not finite")
@@ -350,6 +359,8 @@ class TubeController:
             self._note(time, "the filter starts anew")
             self.estimate, self._rival = np.asarray(rival.estimate), Rival()
             self.gate.start()
+            if self.calibrated is not None:
+                self.calibrated.anew()
             self._seen = [time] * len(self._pose)
 
     def _measured(self, y: FloatArray, there: FloatArray) -> FloatArray:
@@ -396,6 +407,8 @@ class TubeController:
         data["ref"][:, 6], data["ref"][:, 7:] = path.yaw[:n], self.steady[1]
         if self.planes is not None:
             data["plane"][:] = self.planes(times if self.descent is None else np.full(n + 1, self.descent.time))
+        if self.calibrated is not None:
+            data["wider"][:] = self.calibrated.wider(times - begin + self.model.sample_time, data["plane"])
         before = (data["x"].copy(), data["u"].copy())
         on = 1 if self._first is None else round((begin - self._first) / problem.dt)
         if self._failures >= FAILURES or on > n:
