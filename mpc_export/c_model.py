@@ -108,6 +108,7 @@ class CModel:
             ("G", "learned outputs", f.learned), ("R", "targets r", f.targets),
             ("THETA", "uncertain parameters (columns of b)", f.covariance_names),
             ("A", "adapted parameters, then errors of the state (rows and columns of V)", f.adapted.names),
+            ("H", "horizons of forecasts (columns of E, seen, sigma, scale)", f.calibration.horizons),
         ):  # fmt: skip
             names = layout.names if isinstance(layout, Layout) else tuple(layout)
             units = layout.units if isinstance(layout, Layout) else ("",) * len(names)
@@ -137,6 +138,7 @@ class CModel:
             "gain": ("n_d x n_e, stationary gain K of the identified filter", f.noise.gain),
             "theta_covariance": ("n_theta x n_theta, of the uncertain parameters", f.covariance),
             "adapted_covariance": ("n_a x n_a, before a flight: a start for V", f.adapted.covariance),
+            "calibration_sigma": ("n_e x n_h, stated standard deviations of forecasts' errors", f.calibration.sigma),
         }  # fmt: skip
         return {k: (why, np.ravel(v, order="F")) for k, (why, v) in named.items() if np.size(v)}
 

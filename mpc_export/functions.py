@@ -22,15 +22,17 @@
 | filter_step | x u p y there -> x_next, e, y_hat: one step of the identified filter |
 | innovation_gain | there -> K, S |
 | adapt_step | x u p y there V memory -> x_next, p_next, V_next, e, y_hat: the filter that adapts (adaptation.py) |
+| forecast_step | x x_next u p y there F clock -> F_next, clock_next, E, seen: errors of forecasts (calibration.py) |
+| calibrate_step | theta E seen sigma level gain -> theta_next, scale: by how much wider they are than sigma says |
 | output_covariance, output_consider | x u p S [c] -> Y: of the next measurement (innovation form); with "covariance" |
 | target_step | x u p r -> x_next, u_next, residual: Newton step to the steady state that holds r (target.py) |
 | f_d_nominal, f_d_nominal_jac_raw | as f_d and f_d_jac_raw, without the learned part: physics alone |
 | lagrangian_hessian | x u p lam -> H (n_x + n_u square): of lam' f_d in raw coordinates |
 
-Groups "covariance", "filter", "target", "hessian", "nominal", "adapt" come on request. All results are dense, column by
-column. x holds the model's own states and then the command history (sampled.py); p the battery voltage where the model
-has one, the parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX inside; a
-learned part is MX (one `exp` over the support points, analytic Jacobians).
+Groups "covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate" come on request. All results are
+dense, column by column. x holds the model's own states and then the command history (sampled.py); p the battery voltage
+where the model has one, the parameters asked for, and, with "gp.weights", the weights of the learned part. Physics is SX
+inside; a learned part is MX (one `exp` over the support points, analytic Jacobians).
 
 This file is long because the functions of one model are one thing: they share their parts and their order.
 """
@@ -58,6 +60,14 @@ from greybox.residual.hybrid import HybridModel
 from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Expr, FloatArray, Layout, Signal
 from mpc_export.adaptation import NOTHING, Adapted, adapt_function, adapted, flight_parameters
+from mpc_export.calibration import (
+    UNCALIBRATED,
+    Calibration,
+    Stated,
+    calibrate_function,
+    calibration,
+    forecast_function,
+)
 from mpc_export.dense import cholesky, cholesky_solve
 from mpc_export.innovation_form import SampledForm
 from mpc_export.noise import Noise, identified_noise, innovation_noise, parameter_covariance
@@ -65,7 +75,7 @@ from mpc_export.predictors import Fitted, Learned, NetworkPart, PredictorModel, 
 from mpc_export.sampled import Sampled, at_sample_time, is_discrete
 from mpc_export.target import target_function, tracked
 
-GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt")
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate")
 WEIGHTS = "gp.weights"
 EULER = ("phi", "theta", "psi")
 NOWHERE = 1e30
@@ -79,7 +89,7 @@ class ModelFunctions:
     Layouts give order, names and units. `parameter_values` (n_p,) are the identified values of p, `reference` = (x, u)
     the point of the stationary gain. `delay` maps a delayed input to its history length. `covariance_names` and
     `covariance` are the uncertain parameters of `consider_step`. `targets` names what `target_step` holds, `adapted` what
-    `adapt_step` adapts.
+    `adapt_step` adapts, `calibration` holds the horizons of `calibrate_step`.
     """
 
     name: str
@@ -106,6 +116,7 @@ class ModelFunctions:
     delay: Mapping[str, int]
     targets: Layout
     adapted: Adapted
+    calibration: Calibration
     discrete: bool
     posterior: Learned | None
     model: IdentifiedModel | LinearModel | PredictorModel
@@ -119,11 +130,13 @@ class ModelFunctions:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta, n_a (adapted)."""
+        """n_x, n_d, n_u, n_p, n_y, n_e, n_z (features), n_g (learned outputs), n_r (targets), n_theta, n_a (adapted), n_h
+        (horizons), n_l (columns of calibrate_step's theta)."""
         return {
             "n_x": len(self.states), "n_d": len(self.error_states), "n_u": len(self.inputs), "n_p": len(self.parameters),
             "n_y": len(self.outputs), "n_e": len(self.innovations), "n_z": len(self.features), "n_g": len(self.learned),
             "n_r": len(self.targets), "n_theta": len(self.covariance_names), "n_a": len(self.adapted.names),
+            "n_h": len(self.calibration.multiples), "n_l": self.calibration.remembered,
         }  # fmt: skip
 
 
@@ -156,6 +169,8 @@ class _Builder:
     ) -> None:
         if not isinstance(model, (IdentifiedModel, LinearModel, PredictorModel)):
             model = predictor_model(model, dt=dt)
+        if "calibrate" in groups:
+            groups = groups | {"filter", "covariance"}
         if "adapt" in groups:
             groups = groups | {"filter"}
             runtime = tuple(dict.fromkeys((*runtime, *flight_parameters(model))))
@@ -627,6 +642,18 @@ class _Builder:
         )
         return own
 
+    def _calibrate(self, point: tuple[FloatArray, FloatArray, FloatArray]) -> Calibration:
+        """Adds forecast_step and calibrate_step; `point` = (x, u, p) is where sigma is stated."""
+        noise = self.noise
+        stated = Stated(
+            point=point, predicted=noise.covariance, process=noise.process, innovation=noise.innovation,
+            theta=self.theta_covariance,
+        )  # fmt: skip
+        own = calibration(self.functions, stated, self.dt)
+        self.functions["forecast_step"] = forecast_function(self.functions, self._innovation, own)
+        self.functions["calibrate_step"] = calibrate_function(own)
+        return own
+
     def _hessian(self) -> None:
         lam: Any = ca.MX.sym("lam", self.x.numel())
         x, u, p = self._arguments()
@@ -684,13 +711,15 @@ class _Builder:
         self._domain()
         x, u, p = self._reference()
         self.noise = self._noise(x, u, p)
-        targets, own = Layout([]), NOTHING
+        targets, own, forecasts = Layout([]), NOTHING, UNCALIBRATED
         if "covariance" in self.groups:
             self._covariance()
         if "filter" in self.groups:
             self._filter()
         if "adapt" in self.groups:
             own = self._adapt(p)
+        if "calibrate" in self.groups:
+            forecasts = self._calibrate((x, u, p))
         if "target" in self.groups:
             targets = tracked(s)
             self.functions["target_step"] = target_function(s, self.functions, targets, len(self.parameters))
@@ -712,7 +741,7 @@ class _Builder:
             learned=none if self.posterior is None else self.posterior.outputs, own_states=len(s.dynamics.states),
             own_error_states=len(s.dynamics.error_states), parameter_values=p, reference=(x, u), noise=self.noise,
             covariance_names=self.theta_names, covariance=self.theta_covariance, bounds=_bounds(self), scales=_scales(self),
-            delay=longest, targets=targets, adapted=own, discrete=self.discrete,
+            delay=longest, targets=targets, adapted=own, calibration=forecasts, discrete=self.discrete,
             posterior=self.posterior, model=self.model, sampled=s,
         )  # fmt: skip
 

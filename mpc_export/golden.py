@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.symbolic import FloatArray
+from mpc_export.calibration import COLUMNS, GAIN, LEVEL
 from mpc_export.functions import ModelFunctions
 
 SPREADS = (0.3, 1.0, 1.0, 1.0, 3.0, 10.0)
@@ -113,6 +114,23 @@ def _point(functions: ModelFunctions, rng: np.random.Generator, spread: float) -
         "c": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_g"])),
         "b": deviation[:, None] * rng.standard_normal((n["n_d"], n["n_theta"])) / theta,
         "V": felt @ own.covariance @ felt.T * min(1.0, 0.2 + spread), "memory": np.array([30.0 * spread]),
+        **_calibration(functions, rng, x, 0.1 * size * move, spread),
         "lam": rng.standard_normal(n["n_x"]) / scale,
         "r": target,
+    }  # fmt: skip
+
+
+def _calibration(
+    functions: ModelFunctions, rng: np.random.Generator, x: FloatArray, away: FloatArray, spread: float
+) -> dict[str, FloatArray]:
+    """Arguments of forecast_step and calibrate_step: forecasts and the next state about x, at samples due or not."""
+    own, boxplus = functions.calibration, functions.functions["boxplus"] if functions.sizes["n_x"] else lambda x, d: x
+    under_way = [np.asarray(boxplus(x, k / COLUMNS * away)).ravel() for k in range(1, COLUMNS + 1)]
+    shape = own.sigma.shape
+    return {
+        "x_next": under_way[0], "F": np.array(under_way).T.reshape(x.size, COLUMNS),
+        "clock": np.array([own.every * rng.integers(0, 2 * COLUMNS) + rng.integers(0, 2)], dtype=float),
+        "theta": 0.2 * spread * rng.standard_normal((shape[0], own.remembered)),
+        "E": own.sigma * (0.5 + spread) * rng.standard_normal(shape), "sigma": own.sigma,
+        "seen": (rng.random(shape) < 0.8).astype(float), "level": np.array([LEVEL]), "gain": np.array([GAIN]),
     }  # fmt: skip

@@ -15,6 +15,7 @@ from greybox.residual.posterior import GPPosterior
 from greybox.symbolic import Layout
 from mpc_export.c_code import CSource
 from mpc_export.c_model import CODES, scale_of, sizes_of
+from mpc_export.calibration import GAIN, LEVEL
 from mpc_export.functions import ModelFunctions
 from mpc_export.golden import Golden
 from mpc_export.predictors import PredictorModel
@@ -69,6 +70,11 @@ def manifest_of(
         "adapted": {
             "names": list(f.adapted.names), "covariance": f.adapted.covariance,
             "lower": f.adapted.lower, "upper": f.adapted.upper, "state_limits": dict(f.adapted.limits),
+        },
+        "calibration": {
+            "names": list(f.calibration.horizons.names), "samples": list(f.calibration.samples),
+            "seconds": [n * f.dt for n in f.calibration.samples], "every": f.calibration.every,
+            "sigma": f.calibration.sigma, "level": LEVEL, "gain": GAIN,
         },
         "noise": {
             "process": f.noise.process, "gain": f.noise.gain, "innovation": f.noise.innovation,

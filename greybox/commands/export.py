@@ -9,7 +9,7 @@ from greybox.commands.console import Console, json_option
 from greybox.commands.own_model import model_file_option
 
 TARGETS = ("c", "casadi", "acados", "do-mpc", "rockit", "l4acados", "fmu")
-GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt")
+GROUPS = ("covariance", "filter", "target", "hessian", "nominal", "adapt", "calibrate")
 
 
 def add(commands: Any) -> None:

@@ -43,6 +43,7 @@ typedef struct {
   double plane[N + 1][NPL][4];   /* normal and offset, position . normal <= offset; zeros and 1: none */
   double u_min[NU], u_max[NU], rate_max[NU];
   double kappa[NL], kappa_u;     /* standard deviations by which constraints are tightened */
+  double wider[N + 1][NL];       /* by how much wider errors are than the model says */
   double penalty, penalty_square;
   double Z0[ND * ND];            /* covariance of the estimate about the plan at its start, usually zero */
   double bent[N + 1][ND * ND];   /* added to the covariance: what the linear loop leaves out */
@@ -202,7 +203,7 @@ static int tube(tube_solver *s, tube_data *d) {
         for (int i = 0; i < NK; i++) row += s->G[k][i * NL + j] * total[keep[m] * ND + keep[i]];
         sum += s->G[k][m * NL + j] * row;
       }
-      d->backoff[k][j] = k > 0 ? d->kappa[j] * sqrt(sum > 0 ? sum : 0) : 0;
+      d->backoff[k][j] = k > 0 ? d->kappa[j] * d->wider[k][j] * sqrt(sum > 0 ? sum : 0) : 0;
     }
     if (k < N) {
       /* What the ancillary gain adds to the command: K (Z + c c' + b b') K', without the filter's error. */

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,8 +34,10 @@ from greybox.errors import ModelError
 from greybox.frames import GRAVITY, numeric
 from greybox.model.identified import IdentifiedModel
 from greybox.symbolic import FloatArray
+from mpc_export.adaptation import flight_parameters
 from mpc_export.c_code import CKernel
 from mpc_export.functions import ModelFunctions, model_functions
+from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.correlation import innovations
 from mpc_export.tube.descent import AWAY, BLIND, HELD, SLOW, Descent, Watch
 from mpc_export.tube.gate import Gate, plausible
@@ -114,6 +116,10 @@ class TubeController:
     `kappa_u`; zeros fly the nominal plan. integrate: the filter's and the plan's disturbances are constant between noise
     (no decay), which leaves no offset under a constant force (Pannocchia and Rawlings 2003, AIChE J. 49(2)); else
     they decay as identified, which suits gusts. white: the learned function's error is fresh at every stage, to compare.
+    calibrate: planes and tilt are tightened by as much more or less as errors of forecasts turn out (calibrated.py).
+    adapt: the filter learns parameters in flight and plans use them (adaptation.py): those that differ between the model's
+    training flights, and those named, with the standard deviation that they may be off by ({}: the former alone; None:
+    nothing). They are forgotten within `memory` [s], 0: never.
     lost [m]: farther from the reference than this, a descent is declared; only for references that do not jump.
     The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
@@ -127,6 +133,9 @@ class TubeController:
     integrate: bool = True
     kernels: Sequence[CKernel] = ()
     white: bool = False
+    calibrate: bool = False
+    adapt: Mapping[str, float] | None = None
+    memory: float = 10.0
     lost: float = math.inf
     events: list[Event] = field(default_factory=list)
 
@@ -134,8 +143,16 @@ class TubeController:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
-        self.functions: ModelFunctions = model_functions(model, dt=self.problem.dt, with_=("covariance", "target"))
-        self.filter: ModelFunctions = model_functions(model, with_=("filter",))
+        groups = ["filter", *(["calibrate"] if self.calibrate else []), *(["adapt"] if self.adapt is not None else [])]
+        if self.adapt is not None:
+            model = _uncertain(model, self.adapt)
+        self.functions: ModelFunctions = model_functions(
+            model, dt=self.problem.dt, with_=("covariance", "target"),
+            runtime_parameters=() if self.adapt is None else flight_parameters(model),
+        )  # fmt: skip
+        self.filter: ModelFunctions = model_functions(model, with_=groups)
+        self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
+        self.calibrated = Calibrated(self.filter) if self.calibrate else None
         self.solver = TubeSolver(
             self.functions, self.problem, kernels=self.kernels, white=self.white, estimate=self._filter_covariance(),
             fresh=innovations(self.filter, self.every, len(self.functions.error_states)),
@@ -181,11 +198,14 @@ class TubeController:
         self.past = [first_command.copy() for _ in range(1 + max(self.functions.delay.values(), default=0))]
         self.steady = (self._state(), self.u.copy())
         self.p = self.functions.parameter_values.copy()
+        self._unsure = self.filter.adapted.covariance.copy()
         self.count = 0
         self.plan: Plan | None = None
         self.descent: Descent | None = None
         self.events.clear()
         self.gate.start()
+        if self.calibrated is not None:
+            self.calibrated.start()
         self._rival = Rival()
         self._watch = Watch()
         self._told: float | None = None
@@ -320,10 +340,11 @@ class TubeController:
             if math.isfinite(value) and low - room <= value <= high + room:
                 self.p[i] = value
         y, there = self._there(measured)
-        after, innovation, expected = self._step(self.estimate, self.u, self.p, y, there)
-        share = self.gate(innovation.full().ravel(), there)
+        (after, innovation, expected), learned = self._filtered(y, there)
+        share, believed = self.gate(innovation.full().ravel(), there), there
         if (share < 1.0).any():
-            after = self._step(self.estimate, self.u, self.p, *self._believed(time, share, y, there, expected))[0]
+            moved, believed = self._believed(time, share, y, there, expected)
+            (after, _, _), learned = self._filtered(moved, believed)
         if called and not there.any():
             self._note(time, "no measurement")
         for j, (k, rows) in enumerate(self._pose):
@@ -331,10 +352,27 @@ class TubeController:
                 self._seen[j] = time
         found = after.full().ravel()
         if np.isfinite(found).all():
+            if self.calibrated is not None:
+                self.calibrated.sees(self.estimate, found, self.u, self.p, y, believed)
             self.estimate = found
+            self._learn(learned)
         else:
             self._note(time, "the filter's estimate is not finite")
         self._challenge(time, y, there, innovation)
+
+    def _filtered(self, y: FloatArray, there: FloatArray) -> tuple[tuple[Any, Any, Any], tuple[Any, Any] | None]:
+        """(Next state, innovation, expected measurement), (parameters, covariance of what is adapted) where any is."""
+        if self._adapt is None:
+            return self._step(self.estimate, self.u, self.p, y, there), None
+        after, p, unsure, e, y_hat = self._adapt(self.estimate, self.u, self.p, y, there, self._unsure, self.memory)
+        return (after, e, y_hat), (p, unsure)
+
+    def _learn(self, learned: tuple[Any, Any] | None) -> None:
+        """Take over what the filter says of the parameters, unless it is not finite."""
+        if learned is not None:
+            p, unsure = learned[0].full().ravel(), learned[1].full()
+            if np.isfinite(p).all() and np.isfinite(unsure).all():
+                self.p, self._unsure = p, unsure
 
     def _challenge(self, time: float, y: FloatArray, there: FloatArray, innovation: Any) -> None:
         """Let an estimate that is begun at what is measured take over where it explains the measurements far better."""
@@ -349,7 +387,13 @@ class TubeController:
         if rival.believed:
             self._note(time, "the filter starts anew")
             self.estimate, self._rival = np.asarray(rival.estimate), Rival()
+            # what is known of the parameters is kept, that of a state that is given up is not
+            own, known = self.filter.adapted.covariance.copy(), len(self.filter.adapted.rows)
+            own[:known, :known] = self._unsure[:known, :known]
+            self._unsure = own
             self.gate.start()
+            if self.calibrated is not None:
+                self.calibrated.anew()
             self._seen = [time] * len(self._pose)
 
     def _measured(self, y: FloatArray, there: FloatArray) -> FloatArray:
@@ -396,6 +440,8 @@ class TubeController:
         data["ref"][:, 6], data["ref"][:, 7:] = path.yaw[:n], self.steady[1]
         if self.planes is not None:
             data["plane"][:] = self.planes(times if self.descent is None else np.full(n + 1, self.descent.time))
+        if self.calibrated is not None:
+            data["wider"][:] = self.calibrated.wider(times - begin + self.model.sample_time, data["plane"])
         before = (data["x"].copy(), data["u"].copy())
         on = 1 if self._first is None else round((begin - self._first) / problem.dt)
         if self._failures >= FAILURES or on > n:
@@ -543,6 +589,18 @@ class TubeController:
 def _integrating(model: IdentifiedModel) -> IdentifiedModel:
     """The model with disturbances that do not decay; the noise that drives them stays."""
     return model.with_values({n: FOREVER for n in model.values if n.startswith("disturbance.") and n.endswith(".T")})
+
+
+def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> IdentifiedModel:
+    """The model with these standard deviations of parameters from flight to flight. Raises `ModelError`."""
+    for name, sigma in spread.items():
+        if name not in model.values:
+            raise ModelError(f"adapt: the model has no parameter {name}", expected=", ".join(sorted(model.values)))
+        if not (math.isfinite(sigma) and sigma > 0):
+            raise ModelError(f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}")
+    return replace(
+        model, flight_spread={**model.flight_spread, **{n: (model.values[n], s) for n, s in spread.items()}}
+    )
 
 
 def _number(value: object) -> float:

@@ -48,7 +48,7 @@ class IpoptSolver:
         slack = [ca.MX.sym(f"s{k}", nl) for k in range(1, n + 1)]
         given = {
             name: ca.MX.sym(name, *reversed(solver.data[name].shape[:2] or (1, 1)))
-            for name in ("ref", "backoff", "backoff_u")
+            for name in ("ref", "backoff", "backoff_u", "wider")
         }
         given["plane"] = ca.MX.sym("plane", 4, s["NPL"] * (n + 1))
         given["bent"] = ca.MX.sym("bent", s["ND"] ** 2, n + 1)
@@ -110,7 +110,7 @@ class IpoptSolver:
             slope = f["tube_limits"](x[k], given["plane"][:, s["NPL"] * k : s["NPL"] * (k + 1)])[1]
             spread = ca.diag(slope @ total[keep, keep] @ slope.T)
             # a plane that is not there has no slope, and the root none at zero
-            tight.append(given["kappa"] * ca.sqrt(spread + 1e-18))
+            tight.append(given["kappa"] * given["wider"][:, k] * ca.sqrt(spread + 1e-18))
             tight_u.append(scalars["kappa_u"] * ca.sqrt(ca.fmax(ca.diag(gain @ (total - first) @ gain.T), 0) + 1e-18))
         return tight, tight_u
 

@@ -43,7 +43,8 @@ def _fields(n: dict[str, int]) -> list[tuple[str, tuple[int, ...]]]:
     return [
         ("x0", (n["NX"],)), ("u_before", (n["NU"],)), ("p", (max(n["NP"], 1),)), ("ref", (n["N"], n["NREF"])),
         ("x_end", (n["NX"],)), ("plane", (stages_, n["NPL"], 4)), ("u_min", (n["NU"],)), ("u_max", (n["NU"],)),
-        ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one), ("penalty", one), ("penalty_square", one),
+        ("rate_max", (n["NU"],)), ("kappa", (nl,)), ("kappa_u", one),
+        ("wider", (stages_, nl)), ("penalty", one), ("penalty_square", one),
         ("Z0", (n["ND"], n["ND"])), ("bent", (stages_, n["ND"], n["ND"])),
         ("tolerance", one), ("qp_tolerance", one), ("damping", one), ("primal_tolerance", one),
         ("iterations_max", one), ("qp_iterations_max", one), ("tube_updates_max", one),
@@ -145,7 +146,7 @@ class TubeSolver:
         d["u"][:], d["u_before"][:] = u, u
         d["ref"][:, 7:] = u
         d["p"][: self.sizes["NP"]] = self.model.parameter_values
-        d["plane"][..., 3] = 1.0
+        d["plane"][..., 3], d["wider"][:] = 1.0, 1.0
         d["bent"][:] = self.stages.bent
         d["u_min"][:], d["u_max"][:] = problem.command_min, problem.command_max
         d["rate_max"][:] = problem.rate_max

@@ -57,6 +57,7 @@ static void damage_data(tube_data *d, int kind, double constant) {
   if (uniform() < 0.3) damage(&d->plane[0][0][0], sizeof d->plane / sizeof(double), share, kind, constant);
   if (uniform() < 0.1) damage(d->p, NP1, share, kind, constant);
   if (uniform() < 0.05) damage(d->kappa, NL, share, kind, constant);
+  if (uniform() < 0.05) damage(d->wider[0], (N + 1) * NL, share, kind, constant);
   if (uniform() < 0.05) damage(&d->penalty, 2, share, kind, constant);
 }
 

@@ -31,6 +31,7 @@ def pilot():
         reference=Hover(),
         kappa=(2.0, 2.0, 2.0),
         kappa_u=1.0,
+        calibrate=True,
     )
 
 

@@ -1,0 +1,212 @@
+"""forecast_step and calibrate_step: how wide the predicted errors really are, learned in flight, by output and horizon.
+
+    forecast_step    keeps COLUMNS forecasts under way, begun `every` samples apart; each goes on by f_d under the commands
+                     that are really given. At every horizon its error is what is measured less what it says.
+    calibrate_step   missed = |E| > z(level) scale sigma,    log scale+ = log scale + step (missed - (1 - level))
+
+It is the online quantile of adaptive conformal inference (Gibbs and Candes 2021, NeurIPS 34) on log |E| / sigma: no
+distribution is assumed, and one wild error counts no more than any that missed. The scale that counts for an error is the
+one in force when its forecast began (delays: Angelopoulos, Candes and Tibshirani 2023, NeurIPS 36), so the coverage is
+that of intervals as they were stated. Sums of (missed - (1 - level)) are differences of log scale, hence, whatever happens,
+
+    | share missed in T errors - (1 - level) |  <=  (log WIDEST + (delay + 1) step) / (step T)
+
+as long as |E| / (z sigma) lies between 1 / WIDEST and WIDEST. Beyond, an error is missed; below, it is covered: the scale
+has ends, so that memory and the way back are bounded. A horizon of j times `every` sees each disturbance j times; its step
+is gain / sqrt(j), between the delay of a small step and the noise of a large one. With errors that are Gaussian as stated
+the mean width is 1 to 2 % above nominal at the default gain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.symbolic import Expr, FloatArray, Layout, Signal
+
+LEVEL, GAIN = 0.95, 0.05
+"""What a controller asks for by default: the share of errors that intervals hold, and the step of log scale by sample."""
+SPACING = 0.05
+"""Time between two forecasts [s], to the nearest sample."""
+MULTIPLES = (1, 2, 5, 10)
+"""Horizons as multiples of that time, besides the next sample."""
+COLUMNS = MULTIPLES[-1]
+WIDEST = 100.0
+"""Largest scale, and the inverse of the smallest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """Horizons of `calibrate_step` and the spread that the model states for them.
+
+    `every` samples a forecast begins; `multiples` (n_h,) of it are the horizons, 0 for the next sample; `sigma` (n_e, n_h)
+    are standard deviations of the errors at the model's reference point, in flight under known commands.
+    """
+
+    every: int = 1
+    multiples: tuple[int, ...] = ()
+    sigma: FloatArray
+    dt: float = 0.0
+
+    @property
+    def samples(self) -> tuple[int, ...]:
+        """Horizons [samples]."""
+        return tuple(max(1, k * self.every) for k in self.multiples)
+
+    @property
+    def horizons(self) -> Layout:
+        """Horizons by name."""
+        return Layout([
+            Signal(name=f"{n}_samples", unit="s", meaning=f"{n * self.dt:g} s ahead") for n in self.samples
+        ])  # fmt: skip
+
+    @property
+    def delays(self) -> tuple[int, ...]:
+        """Updates between the beginning of a forecast and its error, by horizon."""
+        return tuple(max(k - 1, 0) for k in self.multiples)
+
+    @property
+    def first(self) -> tuple[int, ...]:
+        """Columns of theta that hold the scale in force, by horizon; those of earlier updates follow each."""
+        return tuple(int(n) for n in np.cumsum([0, *(d + 1 for d in self.delays[:-1])]))
+
+    @property
+    def remembered(self) -> int:
+        """Columns of theta."""
+        return len(self.delays) + sum(self.delays)
+
+    def start(self) -> dict[str, FloatArray]:
+        """F (n_x, COLUMNS) is anything finite; clock and theta before the first sample."""
+        return {"clock": np.zeros(1), "theta": np.zeros((len(self.sigma), self.remembered))}
+
+
+UNCALIBRATED = Calibration(sigma=np.zeros((0, 0)))
+
+
+def calibration(functions: Mapping[str, Any], stated: Stated, dt: float) -> Calibration:
+    """Horizons at this sample time, and sigma from the covariance that the model states."""
+    every = max(1, round(SPACING / dt))
+    multiples = (0, *(k for k in MULTIPLES if k * every > 1))
+    made = Calibration(every=every, multiples=multiples, sigma=np.zeros((0, 0)), dt=dt)
+    spread = stated.errors(functions, max(made.samples))
+    return Calibration(every=every, multiples=multiples, sigma=spread[:, [n - 1 for n in made.samples]], dt=dt)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stated:
+    """What a model says of its errors at a point (x, u, p): covariance P (n_d, n_d) of the filter's prediction, process Q
+    (n_d, n_d), innovation S (n_e, n_e), `theta` (n_theta, n_theta) of the uncertain parameters."""
+
+    point: tuple[FloatArray, FloatArray, FloatArray]
+    predicted: FloatArray
+    process: FloatArray
+    innovation: FloatArray
+    theta: FloatArray
+
+    def errors(self, functions: Mapping[str, Any], longest: int) -> FloatArray:
+        """Standard deviations (n_e, longest) of what is measured 1, 2, ... samples after the last measurement that was
+        used. Errors of the learned part and of the parameters stay as they are, those of states and sensors are fresh."""
+        a = functions["f_d_jac"](*self.point)[1].full()
+        constant = [np.zeros((len(a), 0))]
+        if "gp_variance" in functions and "gp_features" in functions:
+            z = functions["gp_features"](*self.point)[0]
+            deviation = np.sqrt(np.maximum(functions["gp_variance"](z, self.point[2]).full().ravel(), 0.0))
+            constant.append(functions["B_d"](*self.point).full() * deviation)
+        if "P_theta" in functions:
+            values, vectors = np.linalg.eigh(self.theta)
+            constant.append(functions["P_theta"](*self.point).full() @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+        push = np.hstack(constant)
+        p, b, out = self.predicted, np.zeros_like(push), []
+        for _ in range(longest):
+            out.append(np.sqrt(np.maximum(np.diag(self._measured(functions, p, b)), 0.0)))
+            p, b = a @ p @ a.T + self.process, a @ b + push
+        return np.array(out).T
+
+    def _measured(self, functions: Mapping[str, Any], p: FloatArray, b: FloatArray) -> FloatArray:
+        """Covariance (n_e, n_e) of a measurement, where the state's is p + b b'."""
+        if "output_consider" in functions:
+            return np.asarray(functions["output_consider"](*self.point, p, b).full())
+        if "output_covariance" in functions:
+            return np.asarray(functions["output_covariance"](*self.point, p).full())
+        c = functions["h_jac"](*self.point)[1].full()
+        sensor = np.maximum(np.diag(self.innovation - c @ self.predicted @ c.T), 0.0)
+        return np.asarray(c @ (p + b @ b.T) @ c.T + np.diag(sensor))
+
+
+def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibration) -> Any:
+    """forecast_step(x, x_next, u, p, y, there, F, clock) -> F_next, clock_next, E, seen.
+
+    x is the filter's state before the sample's measurement y, x_next after it and one sample on. F (n_x, COLUMNS): forecasts
+    under way. E, seen (n_e, n_h): errors at the horizons, and whether each is one.
+    """
+    step, out = functions["f_d"], functions["h"]
+    x, u, p = (ca.MX.sym(n, step.numel_in(n)) for n in ("x", "u", "p"))
+    x_next, y = ca.MX.sym("x_next", x.numel()), ca.MX.sym("y", innovation.numel_in(0))
+    there, clock = ca.MX.sym("there", innovation.numel_out(0)), ca.MX.sym("clock")
+    under_way = ca.MX.sym("F", x.numel(), COLUMNS)
+    due = ca.fmod(clock, own.every) == 0
+    on = ca.if_else(there != 0, 1.0, 0.0)
+    errors, seen = [], []
+    for k in own.multiples:
+        at = x if k == 0 else under_way[:, k - 1]
+        found = innovation(y, out(at, u, p), at)
+        # as many forecasts have come so far as began before
+        valid = on * (1.0 if k == 0 else ca.logic_and(due, clock >= k * own.every))
+        errors.append(ca.if_else(valid != 0, found, 0.0))
+        seen.append(valid)
+    moved = [step(under_way[:, k], u, p) for k in range(COLUMNS)]
+    begun = ca.horzcat(x_next, *moved[:-1])
+    after = ca.if_else(due, begun, ca.horzcat(*moved))
+    # counts on, and once all forecasts are under way the same period over and over
+    longest = own.every * COLUMNS
+    later = clock + 1 - longest * (clock + 1 >= 2 * longest)
+    results = [after, later, ca.horzcat(*errors), ca.horzcat(*seen)]
+    return ca.Function(
+        "forecast_step", [x, x_next, u, p, y, there, under_way, clock], [ca.densify(r) for r in results],
+        ["x", "x_next", "u", "p", "y", "there", "F", "clock"], ["F_next", "clock_next", "E", "seen"],
+    )  # fmt: skip
+
+
+def calibrate_function(own: Calibration) -> Any:
+    """calibrate_step(theta, E, seen, sigma, level, gain) -> theta_next, scale.
+
+    theta (n_e, n_l): logarithms of the scale by horizon, that in force and those of the updates before. scale (n_e, n_h): by
+    how much wider the errors are than sigma (n_e, n_h) says, so that z(level) scale sigma holds `level` of them.
+    """
+    n_e, n_h = own.sigma.shape
+    theta = ca.SX.sym("theta", n_e, own.remembered)
+    error, seen, sigma = (ca.SX.sym(n, n_e, n_h) for n in ("E", "seen", "sigma"))
+    level, gain = ca.SX.sym("level"), ca.SX.sym("gain")
+    z = normal_half_width(level)
+    columns, scales = [], []
+    for h, (k, delay, at) in enumerate(zip(own.multiples, own.delays, own.first, strict=True)):
+        step = gain / math.sqrt(max(k, 1))
+        end = math.log(WIDEST) + (delay + 1) * step
+        stated = z * ca.exp(theta[:, at + delay]) * sigma[:, h]
+        # written so that an error that is no number is one that missed
+        missed = 1.0 - (ca.fabs(error[:, h]) <= stated)
+        after = ca.fmax(ca.fmin(theta[:, at] + step * (missed - (1.0 - level)), end), -end)
+        there = ca.repmat(seen[:, h] != 0, 1, delay + 1)
+        columns.append(ca.if_else(there, ca.horzcat(after, theta[:, at : at + delay]), theta[:, at : at + delay + 1]))
+        scales.append(ca.exp(columns[-1][:, 0]))
+    results = [ca.densify(ca.horzcat(*columns)), ca.densify(ca.horzcat(*scales))]
+    return ca.Function(
+        "calibrate_step", [theta, error, seen, sigma, level, gain], ca.cse(results),
+        ["theta", "E", "seen", "sigma", "level", "gain"], ["theta_next", "scale"],
+    )  # fmt: skip
+
+
+def normal_half_width(level: Expr) -> Expr:
+    """z with P(|N(0, 1)| <= z) = level, to 1e-7 for levels up to 0.9999: a closed start (Winitzki 2008), then Newton."""
+    inside = ca.log(1.0 - level * level)
+    half = 2.0 / (math.pi * 0.147) + 0.5 * inside
+    z = ca.sqrt(2.0 * (ca.sqrt(half * half - inside / 0.147) - half))
+    for _ in range(2):
+        density = math.sqrt(2.0 / math.pi) * ca.exp(-0.5 * z * z)
+        z = z - (ca.erf(z / math.sqrt(2.0)) - level) / density
+    return z
