@@ -92,7 +92,7 @@ class Filter:
         """
         record = make_record(self.engine, segment)
         vector = self.model.flight_vector(segment.flight) if p is None else np.asarray(p, dtype=float)
-        found = self.settling.gains(record, record.x0_sigma if x0 is None else x0_sigma)
+        found = self.settling.gains(record, record.spread if x0 is None else x0_sigma)
         gains, covariance, _ = found.tables()
         run = self.engine.run(
             x0=record.x0 if x0 is None else x0,

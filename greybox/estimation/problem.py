@@ -356,7 +356,7 @@ def make_problem(
         return problem
     told = predictor.told(problem)
     initial = _initial_unknowns(dynamics, records, [~t for t in told])
-    spreads = tuple(np.where(t, r.x0_sigma, 0.0) for t, r in zip(told, records, strict=True))
+    spreads = tuple(np.where(t, r.spread, 0.0) for t, r in zip(told, records, strict=True))
     return replace(
         problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
     )

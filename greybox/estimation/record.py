@@ -14,6 +14,7 @@ from greybox.errors import DataError
 from greybox.estimation.channel_pattern import Pattern, pattern_of
 from greybox.estimation.engine import Engine, IntArray
 from greybox.model.dynamics import Dynamics
+from greybox.model.noise import lasting_errors
 from greybox.symbolic import BoolArray, FloatArray
 
 REACH = 50
@@ -40,11 +41,18 @@ class Record:
     x0: FloatArray  # start of the initial state
     x0_sigma: FloatArray
     held: int  # command cells that were missing and held from the sample before
+    lasting: BoolArray  # (n_d,) error states that are noise in its stationary state
 
     @property
     def n(self) -> int:
         """Number of samples."""
         return self.outputs.shape[0]
+
+    @property
+    def spread(self) -> FloatArray:
+        """Standard deviations (n_d,) of the start's errors; infinite: as large as the noise of that
+        state keeps it."""
+        return np.where(self.lasting, np.inf, self.x0_sigma)
 
     @cached_property
     def usual(self) -> Pattern:
@@ -96,7 +104,7 @@ def make_record(engine: Engine, segment: Segment, start_seconds: float = START_S
         flight=segment.flight, segment=segment, outputs=y,
         inputs=engine.padded_inputs(u, _earlier(segment, dynamics.inputs.names)),
         mask=mask.astype(np.float64), pattern=pattern.ravel().astype(np.int32), patterns=patterns.astype(np.float64),
-        dt=segment.dt, x0=x0, x0_sigma=sigma, held=held,
+        dt=segment.dt, x0=x0, x0_sigma=sigma, held=held, lasting=lasting_errors(dynamics),
     )  # fmt: skip
 
 

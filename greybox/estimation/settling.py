@@ -172,7 +172,8 @@ class Settling:
 
     def gains(self, record: Record, spread: FloatArray | None) -> RecordGains:
         """The filter of a record, from the standard deviations `spread` (n_d,) of the errors of its
-        start; without them as if it had always run."""
+        start (infinite: the stationary one of a Gauss-Markov state under its noise); without them as
+        if it had always run."""
         pattern = record.usual
         solutions = list(self.settled(pattern))
         node = np.arange(record.n) % len(solutions)
@@ -263,6 +264,20 @@ class Settling:
         square = np.outer(self._unit, self._unit)
         return self._samples.at(p * square, None if dp is None else dp * square)
 
+    def _begun(self, spread: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """(P, dP) of a start, see `gains`, in units of the pseudo-measurement."""
+        own = np.flatnonzero(np.isinf(spread))
+        variance, slope = kept_up(self.values, self.q, own), self._zero()
+        square = np.where(np.isinf(spread), 0.0, spread) ** 2
+        square[own] = variance
+        if slope is not None and self.slopes is not None and self.dq is not None:
+            da, dg = (extended(v, self.dq.shape[0]) for v in self.slopes[:2])
+            a, g = self.values[0][own, own], self.values[1][own]
+            fresh = self.dq @ (g**2).T + 2 * (g * dg[:, own]) @ self.q
+            moved = (fresh + 2 * a * da[:, own, own] * variance) / (1 - a**2)
+            slope[:, own, own] = moved / self.weak[own]
+        return np.diag(square / self.weak), slope
+
     def _zero(self) -> FloatArray | None:
         if self.dq is None:
             return None
@@ -315,13 +330,8 @@ class Settling:
         actual = np.asarray(record.mask[:first] != 0)
         key = spread.tobytes(), actual.tobytes(), pattern.there.tobytes()
         if key not in self._walks:
-            self._walks[key] = _Walk(
-                settling=self,
-                pattern=pattern,
-                actual=actual,
-                p=np.diag((spread / self._unit) ** 2),
-                dp=self._zero(),
-            )
+            p, dp = self._begun(spread)
+            self._walks[key] = _Walk(settling=self, pattern=pattern, actual=actual, p=p, dp=dp)
         walk = self._walks[key]
         at = np.full(record.n, -1, dtype=np.intp)
         place, middle = 0, [begin + size // 2 for begin, size in pattern.parts]
@@ -350,6 +360,13 @@ class Settling:
         off_s = np.abs(one.S - settled.S) / np.outer(s, s)
         off_n = np.abs(one.N - settled.N) / np.outer(size, s)
         return bool(max(off_s.max(initial=0.0), off_n.max(initial=0.0)) <= SETTLED)
+
+
+def kept_up(values: Sequence[FloatArray], q: FloatArray, own: IntArray) -> FloatArray:
+    """Stationary variances (k,) of Gauss-Markov states `own` (k,), each fed by its noise alone, of
+    the linear system (A, G, ...) under process noise of variances `q` (n_w,)."""
+    a, g = values[0], values[1]
+    return np.asarray(g[own] ** 2 @ q / (1 - a[own, own] ** 2))
 
 
 @dataclass(kw_only=True, eq=False)

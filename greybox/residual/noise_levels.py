@@ -46,7 +46,7 @@ def refit_noise(model: IdentifiedModel, data: Dataset, *, each: bool = False) ->
     def cost(levels: FloatArray) -> float:
         try:
             settling = Settling(values=linear, q=levels**2, r=model.sensor_noise**2, weak=model.weak**2)
-            filters = [settling.gains(record, record.x0_sigma) for record, _ in runs]
+            filters = [settling.gains(record, record.spread) for record, _ in runs]
         except FitError:
             return np.inf
         total, count = 0.0, 0

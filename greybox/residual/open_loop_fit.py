@@ -221,7 +221,7 @@ class Paths:
 
     def gains(self, record: Record) -> RecordGains:
         """The filter of one record."""
-        return self.runner.settling.gains(record, record.x0_sigma)
+        return self.runner.settling.gains(record, record.spread)
 
     def filtered(
         self, record: Record, p: FloatArray, states: FloatArray, rows: IntArray, bases: Sequence[Basis]

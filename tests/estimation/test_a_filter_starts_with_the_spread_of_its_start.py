@@ -24,6 +24,7 @@ from greybox.plants.flight_log import fly, member
 from greybox.plants.noise import ProcessNoise
 from greybox.plants.presets import controller_for, nano
 from greybox.symbolic import Layout, Signal
+from tests import gusty
 from tests.simulated import vehicle
 
 DT = 0.05
@@ -130,6 +131,39 @@ def test_derivatives_through_the_gains_of_the_start_are_exact():
             h[j] = 1e-5 * scale
             numeric = (own.evaluate(theta + h, 0).cost - own.evaluate(theta - h, 0).cost) / (2e-5 * scale)
             assert gradient[j] == pytest.approx(numeric, rel=1e-6, abs=1e-5)
+
+
+def blown(predictor: Innovation | Kalman, count: int) -> Problem:
+    """The model of gusty carts at the truth."""
+    return make_problem(
+        gusty.model(), gusty.rides(count), predictor=predictor, criterion=Gaussian(), noise=gusty.LEVELS,
+        free=["disturbance.v.T"],
+    )  # fmt: skip
+
+
+def test_a_gust_that_blew_before_the_flight_is_as_likely_as_one_that_comes_later():
+    """The start of a Gauss-Markov process is its stationary state, as large as its level and time say. A spread that
+    does not know them lets whatever is constant in a flight, a bias or a steady force, pay for the first gust."""
+    own = blown(Innovation(), 60)
+    assert not any(u.kind == "initial" for u in own.unknowns), "the filter carries it"
+    size = np.zeros(gusty.ROWS)
+    for block in own.predictor.blocks(own, own.start, False):
+        assert block.covariance is not None
+        size += [e @ np.linalg.solve(block.covariance[i], e) for e, i in zip(block.e, block.pattern, strict=True)]
+    assert size[:4].mean() / (60 * 2) == pytest.approx(1.0, abs=0.2)
+    assert size[30:].mean() / (60 * 2) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_lasting_gust_starts_alike_in_every_filter_and_its_slopes_are_exact():
+    own, exact = blown(Innovation(), 3), blown(Kalman(), 3)
+    assert own.evaluate(own.start, 0).cost == pytest.approx(exact.evaluate(exact.start, 0).cost, abs=0.3)
+    gradient = own.evaluate(own.start).gradient
+    assert gradient is not None
+    for j, scale in enumerate(own.scale):
+        h = np.zeros(own.n)
+        h[j] = 1e-5 * scale
+        numeric = (own.evaluate(own.start + h, 0).cost - own.evaluate(own.start - h, 0).cost) / (2e-5 * scale)
+        assert gradient[j] == pytest.approx(numeric, rel=1e-6, abs=1e-5), own.unknowns[j].name
 
 
 def test_rides_that_were_not_fitted_are_foretold_as_well_as_those_that_were():

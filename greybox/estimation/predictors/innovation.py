@@ -180,7 +180,7 @@ class Innovation(StationaryGain[InnovationPrepared]):
             r=d.sensor_scale() ** 2,
             weak=prepared.weak,
         )
-        return [nominal.told(r) for r in problem.records]
+        return [nominal.told(r) | r.lasting for r in problem.records]
 
     def settling(self, problem: Problem, theta: FloatArray, slopes: bool) -> Settling:
         """The filter at `theta`; per-flight parameters at their base values. Slopes are in local

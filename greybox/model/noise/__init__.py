@@ -4,6 +4,7 @@ White noise is no parts."""
 from greybox.model.noise.augmented import (
     Augmented,
     disturbances,
+    lasting_errors,
     noise_states,
     sensor_parts,
     with_disturbance,
@@ -33,6 +34,7 @@ __all__ = [
     "NoisePart",
     "SensorPart",
     "disturbances",
+    "lasting_errors",
     "noise_part",
     "noise_states",
     "part_named",

@@ -24,7 +24,7 @@ from greybox.model.layer import Layer, layers
 from greybox.model.noise.disturbance import Disturbance
 from greybox.model.noise.part import NoisePart, Place, SensorPart
 from greybox.model.parameter import Parameter
-from greybox.symbolic import Expr, FloatArray, Layout, Signal, given, sum_of
+from greybox.symbolic import BoolArray, Expr, FloatArray, Layout, Signal, given, sum_of
 
 START_STEP = 0.01
 """Sample time [s] whose typical noise levels are the spread of own states at the start of a
@@ -366,6 +366,20 @@ def noise_states(dynamics: Dynamics) -> frozenset[str]:
         if isinstance(layer, Augmented)
         for s in layer.states.signals[len(layer.core.states) :]
     )
+
+
+def lasting_errors(dynamics: Dynamics) -> BoolArray:
+    """Which error states (n_d,) are noise in its stationary state from the first sample on, of a
+    model under whatever layers."""
+    names = {
+        f"d_{s.name}"
+        for layer in layers(dynamics)
+        if isinstance(layer, Augmented)
+        for part in layer.parts
+        if part.lasting
+        for s in part.signals(part.place(layer.core))
+    }
+    return np.array([n in names for n in dynamics.error_states.names], dtype=bool)
 
 
 def _parts(dynamics: Dynamics) -> list[NoisePart]:

@@ -25,6 +25,7 @@ class Coloured(SensorPart):
 
     kind = "coloured"
     quantities = ("T",)
+    lasting = True
     time: float = 0.1
 
     def parameters(self, core: Dynamics) -> tuple[Parameter, ...]:

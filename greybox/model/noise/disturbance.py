@@ -28,6 +28,7 @@ class Disturbance(NoisePart):
 
     kind = "disturbance"
     quantities = ("T",)
+    lasting = True
     group: str
     time: float = 1.0
 

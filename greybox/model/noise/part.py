@@ -45,6 +45,9 @@ class NoisePart(ABC):
     kind: ClassVar[str]
     quantities: ClassVar[tuple[str, ...]]
     copies: ClassVar[tuple[str, ...]] = ("c",)
+    lasting: ClassVar[bool] = False
+    """Whether it was there long before the flight, which then begins anywhere in it: a Gauss-Markov
+    process starts in its stationary state."""
 
     @property
     @abstractmethod
