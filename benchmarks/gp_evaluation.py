@@ -3,7 +3,7 @@
     python -m benchmarks.gp_evaluation
 
 10 inputs, 6 outputs with kernels of their own (and once with a shared one), M = 50 and 100 support points; microseconds per
-call through CasADi's buffer interface, CPU time, best of several runs, one thread. "all" is mean, variance and both Jacobians.
+call through CasADi's buffer interface, CPU time, best of several runs, one thread. "all": mean, variance, both Jacobians.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ def json_option(p: Any, content: str) -> None:
 
 
 class Console:
-    """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or None), nothing else is
-    said there or on standard error."""
+    """The terminal of a command. Where its JSON goes to standard output (`json`: "-", a path or None), nothing else
+    does, and no progress is said; warnings still are, on standard error."""
 
     def __init__(self, json: str | None) -> None:
         from greybox.progress import TimeLeft
@@ -61,6 +61,6 @@ class Console:
         if self.quiet:
             sys.stdout.write(dump_json(content))
             return
+        print("\n".join(lines))  # first: a file that cannot be written must not hide what took minutes
         if self.json:
             write_json(self.json, content)
-        print("\n".join(lines))

@@ -20,9 +20,9 @@ def test_the_files_of_the_benchmarks_give_positive_ratios(name: str):
 
 
 def test_only_what_fell_by_more_than_the_share_is_said():
-    before = {"a": {"peer": 10.0, "other": 4.0}, "b": {"peer": 2.0}}
+    before = {"a": {"peer": 10.0, "other": 4.0, "gone": 3.0}, "b": {"peer": 2.0}}
     now = {"a": {"peer": 6.9, "other": 2.9, "new": 0.1}, "c": {"peer": 1.0}}
-    assert ratios.fallen(now, before) == ["a: peer: 10 -> 6.9"]
+    assert ratios.fallen(now, before) == ["a: peer: 10 -> 6.9", "a: gone: 3 -> gone"]
 
 
 def test_the_committed_table_has_every_benchmark_its_date_and_machine():

@@ -1,4 +1,4 @@
-"""Every command with --json: what is said to people never mixes with what a program reads."""
+"""The console of all commands: what is said to people never mixes with what a program reads."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from greybox.cli import build_parser
 from greybox.commands.console import Console
+from greybox.files import OutputError
 
 CONTENT = {"schema": "greybox.some/1", "values": [1.0, 2.5]}
 
@@ -56,3 +57,9 @@ def test_every_commands_json_says_that_a_dash_is_standard_output():
     }
     assert len(texts) >= 15
     assert [name for name, text in texts.items() if "standard output" not in text] == []
+
+
+def test_what_is_said_does_not_wait_for_a_file_that_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path):
+    with pytest.raises(OutputError):
+        Console(str(tmp_path)).result(CONTENT, "for people")
+    assert capsys.readouterr().out == "for people\n"
