@@ -22,7 +22,7 @@ GROUNDED = 0.1
 STILL = 0.02
 """Body rate [rad/s RMS] of a craft that stands ..."""
 SLOW = 0.3
-"""... and speed [m/s] that it passes for less than a twentieth of the time: an estimate wanders."""
+"""... and change of velocity [m/s] that it passes for less than a twentieth of the time: an estimate wanders."""
 MEASURED = ("rate", "specific_force", "attitude", "position", "velocity")
 
 
@@ -55,9 +55,11 @@ def _stands(raw: RawLog) -> bool:
     if not all(n in raw.channels for n in "pqr"):
         return False
     if all(n in raw.channels for n in ("vx", "vy", "vz")):
-        speed = np.sqrt(sum(raw.channels[n] ** 2 for n in ("vx", "vy", "vz")))
-        if np.isfinite(speed).any() and float(np.nanpercentile(speed, 95)) > SLOW:
-            return False  # a simulated hover turns less than a real one shakes
+        velocity = np.column_stack([raw.channels[n] for n in ("vx", "vy", "vz")])
+        velocity = velocity[np.isfinite(velocity).all(axis=1)]
+        change = np.sqrt(((velocity - np.median(velocity, axis=0)) ** 2).sum(axis=1)) if velocity.size else np.zeros(1)
+        if float(np.percentile(change, 95)) > SLOW:
+            return False  # a simulated hover turns less than a real one shakes; a drifting estimate is no motion
     rate = np.column_stack([raw.channels[n] for n in "pqr"])
     rate = rate[np.isfinite(rate).all(axis=1)]
     return bool(rate.size and float(np.sqrt(((rate - np.median(rate, axis=0)) ** 2).sum(axis=1).mean())) < STILL)

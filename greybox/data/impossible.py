@@ -36,10 +36,10 @@ OVERSPEED = 1.3
 """Times the top speed of the vehicle file: a rotor in a dive turns a little faster, never this much."""
 APART = 40.0
 """Times the usual distance from the neighbours, in the flight and around the sample, from which it
-stands apart: twice what white noise, interpolated and filtered sensors of real flights come to."""
+stands apart; sound samples of real flights come to 34, white noise to 7."""
 AROUND = (2, 3, 4, 5)
 """Samples before and after whose distances are those around: the fourth largest of eight, so that
-another lone sample among them hides none. A sine of any frequency stays below four times that."""
+another lone sample among them hides none. A sine of any frequency stays below three times that."""
 PASSES = 10
 """Samples that are found next to each other are judged again, at most so often."""
 RISE = 0.02
@@ -101,7 +101,7 @@ def without_impossible(raw: RawLog, vehicle: Airframe) -> RawLog:
             known, _ = continuous_signs(known)  # q and -q are the same attitude
         size = np.zeros(raw.n)
         size[rows] = _lone(raw.t[rows], known, limit_of)
-        drop(names, size > 0.0, size, "one sample that no motion of the craft explains")
+        drop(names, size > 0.0, size, "one sample that no rotor can make (a touch can)")
     if not removed:
         return raw
     notes = (*raw.notes, *(r.line() for r in removed))

@@ -55,6 +55,7 @@ def test_betaflights_order_is_rear_right_first_and_yaw_tells_which_way_the_motor
     assert any(f"props {'out' if reversed_motors else 'in'}" in line for line in found.known)
     assert [line.split(":")[0] for line in found.to_measure] == ["arm", "mass"]
     assert vehicle.arm_length == pytest.approx(from_log.ARM)
+    assert vehicle.actuator.u_min == 0.0  # idle is 0 in the log of a flight controller
 
 
 def test_what_nobody_weighed_is_marked_as_a_guess_and_believed_little(tmp_path):

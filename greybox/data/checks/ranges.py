@@ -81,7 +81,8 @@ def _removed(view: View) -> Iterator[Finding]:
         before, after = (log.channels[removed.channels[0]] for log in (view.raw, view.possible))
         gone = view.raw.t[np.isfinite(before) & np.isnan(after)]
         share = removed.count / max(int(np.isfinite(before).sum()), 1)
-        landing = not any(view.in_flight(t) for t in gone)  # a blow that no rotor gave
+        # A blow that no rotor gave; where the flight is not known, nothing is known to be one.
+        landing = view.flight is not None and not any(view.in_flight(t) for t in gone)
         severity: Severity = "blocking" if share > REMOVED_SHARE else "info" if landing else "warning"
         yield Finding(
             check="ranges",
