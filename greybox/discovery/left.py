@@ -31,7 +31,7 @@ from greybox.residual.laws.terms import Memory, wanted_features
 
 SILENT = 12.0
 """By how much the logarithm of a level falls when its state is taken away."""
-LOUDER = (0.0, 0.7, 1.4, 2.1, 2.8, 3.5)
+LOUDER = tuple(0.35 * i for i in range(11))
 """By how much the logarithm of the white noise is tried to rise in its place."""
 
 

@@ -2,6 +2,7 @@
 
     python -m scenarios.studies.e_values --run null --seeds 1 40 --out e_values
     python -m scenarios.studies.e_values --run power --seeds 1 4 --out e_values
+    python -m scenarios.studies.e_values --run depth --seeds 1 4 --out e_values
     python -m scenarios.studies.e_values --out e_values --figure docs/images/e_values.svg
 
 The structure is fixed and nothing is searched, so that a row costs a few fits and there can be many. A
@@ -9,14 +10,17 @@ seed draws vehicle, gusts and the errors of its file; one short flight teaches a
 nothing is hidden, and the name of a row is held against the model without it, which is then the truth:
 P(E >= 20) must be at most .05. It is stated for every name and for the largest of a seed, which is that
 of names that were chosen by their e-value and may exceed .05. `power`: `HIDDEN` is there at a part of
-its size, and as many flights teach as judge. Commands can be run in pieces: DIR/e_values.jsonl keeps a
-row per seed, name and number of flights, and what is there is not repeated. Seeds below 1000 are for
-development. Intervals are exact (Clopper and Pearson 1934).
+its size, and as many flights teach as judge. `depth`: how far the optimum of a fit lies below a later
+step of it, in units of what the full step promised there, where a fit that was stopped would have
+been charged `BEYOND` of them: a fit without a name, and one of every cause, where `SLOW` hides.
+Commands can be run in pieces: DIR/e_values.jsonl keeps a row per seed, name and number of flights, and
+what is there is not repeated. Seeds below 1000 are for development. Intervals are exact (Clopper and Pearson 1934).
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import io
 import math
 from collections.abc import Iterator, Sequence
@@ -30,13 +34,17 @@ from greybox.data import Dataset
 from greybox.data.lead import without_lead_in
 from greybox.discovery.cause import offer
 from greybox.discovery.certificate import certificates, splits
-from greybox.discovery.evidence import Fitted, Flights
+from greybox.discovery.evidence import Fitted, Flights, problem_of, vector
 from greybox.discovery.name import LOG10
 from greybox.discovery.options import DiscoverOptions
+from greybox.discovery.rules import EFFORT
 from greybox.discovery.search import Rival
+from greybox.estimation.initialisation import noise_start
 from greybox.estimation.record import sample_time
+from greybox.estimation.solvers.levenberg_marquardt import BEYOND, PACE, LevenbergMarquardt
 from greybox.files import append_json_line, write_atomic
 from greybox.plants.quadrotor import Quadrotor
+from greybox.symbolic import FloatArray
 from scenarios.foreign.campaign import share
 from scenarios.studies.discovery_cells import (
     FRAMES,
@@ -57,6 +65,10 @@ COUNTS = (1, 2, 4, 8)
 """Flights that teach, and as many that judge."""
 CRAFT = ("x250", "nano")
 FALSE = 20.0
+SLOW = "motor_lag"
+"""What hides in a log of `depth`: fits next to a lag that is missing take most steps."""
+DEEP = 200
+"""Iterations of a fit whose optimum is sought."""
 Row = dict[str, Any]
 
 
@@ -102,8 +114,47 @@ def rows_of(what: str, seed: int, seconds: float, done: set[tuple[Any, ...]]) ->
             }  # fmt: skip
 
 
+def depths_of(seed: int, seconds: float, done: set[tuple[Any, ...]]) -> Iterator[Row]:
+    """Per structure that is not `done` yet: the depth of its optimum below every later step."""
+    plant = craft(seed, SLOW)
+    train = without_lead_in(flights(plant, [1000 * seed], seconds, "train"))
+    causes = offer(nominal(plant, "off", seed), train.channels, sample_time=sample_time(train))
+    options = DiscoverOptions().of_every_fit
+    left = [n for n in ("", *causes.effects) if ("depth", seed, 1, n, seconds) not in done]
+    null = Flights(causes=causes, data=train, options=options).fit(causes.base) if any(left) else None
+    for name in left:
+        problem = problem_of(causes, train, options, causes.base | ({name} if name else set()))
+        start = vector(problem, null.known) if name and null is not None else noise_start(problem)
+        costs, promises = np.full(DEEP + 1, np.nan), np.zeros(DEEP + 1)
+
+        def kept(n: int, cost: float, promise: float, into: tuple[FloatArray, FloatArray] = (costs, promises)) -> None:
+            into[0][n], into[1][n] = cost, promise
+
+        theta, status = LevenbergMarquardt(tolerance=1e-4, max_iterations=DEEP).solve(problem, start, kept)
+        later = np.flatnonzero(promises >= EFFORT.exact)
+        later = later[later > PACE]
+        depth = (costs[later] - problem.evaluate(theta, 0).cost) / promises[later]
+        yield {
+            "what": "depth", "seed": seed, "flights": 1, "name": name, "seconds": seconds, "converged": status.converged,
+            "depths": depth.tolist(),
+        }  # fmt: skip
+
+
+def depths(rows: Sequence[Row]) -> str:
+    """Quantiles of the depths of optima, in promises of the full step."""
+    mine = [r for r in rows if r["what"] == "depth" and r["converged"]]
+    found = np.concatenate([np.zeros(0), *(r["depths"] for r in mine)])
+    if not found.size:
+        return "depth of optima: none measured"
+    middle, most, nearly, deepest = np.quantile(found, [0.5, 0.95, 0.99, 1.0])
+    return (
+        f"depth of optima in promises, {found.size} later steps of {len(mine)} fits: half below {middle:.2g}, 95 % below "
+        f"{most:.2g}, 99 % below {nearly:.2g}, deepest {deepest:.2g}; charged {BEYOND:g}"
+    )
+
+
 def summary(rows: Sequence[Row]) -> str:
-    """P(E >= 20) for every name, for all and for the largest of a seed; evidence by number of flights."""
+    """P(E >= 20) for every name, for all and for the largest of a seed; evidence by number of flights; depths."""
     null = [r for r in rows if r["what"] == "null"]
     bar = math.log10(FALSE)
     # An e-value that could not be worked out counts as nothing.
@@ -115,13 +166,24 @@ def summary(rows: Sequence[Row]) -> str:
     seeds = {r["seed"] for r in null}
     out.append(f"  {'all names':24s} {share(len(big), len(null))}")
     out.append(f"  {'the largest of a seed':24s} {share(len({r['seed'] for r in big}), len(seeds))}")
-    lost = sum(r["log10_e"] is None for r in rows)
-    out.append(f"  no e-value (a fit did not end): {lost} of {len(rows)}")
+    asked = [r for r in rows if r["what"] != "depth"]
+    lost = sum(r["log10_e"] is None for r in asked)
+    out.append(f"  no e-value (a fit did not end): {lost} of {len(asked)}")
     out.append(f"log10 E of {HIDDEN} at {PART:g} of its size")
     for count, values in grown(rows).items():
         low, middle, high = np.percentile(values, [25, 50, 75])
         out.append(f"  {count} flights: {middle:.1f} ({low:.1f} to {high:.1f} in half of {len(values)} seeds)")
+    out.append(depths(rows))
     return "\n".join(out)
+
+
+def said(row: Row) -> str:
+    """One line about a row."""
+    about = f"{row['what']} {row['seed']} {row['flights']} {row['name'] or 'no name'}"
+    if row["what"] == "depth":
+        return f"{about}: {len(row['depths'])} later steps, deepest {max(row['depths'], default=0.0):.2g} promises"
+    value = "none" if row["log10_e"] is None else f"{row['log10_e']:.2f}"
+    return f"{about}: log10 E {value}"
 
 
 def grown(rows: Sequence[Row]) -> dict[int, list[float]]:
@@ -164,7 +226,7 @@ def drawn(rows: Sequence[Row]) -> str:
 def main(argv: Sequence[str] | None = None) -> None:
     """Run what is not there yet, print the summary, draw the figure where it is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", nargs="+", choices=("null", "power"), default=[], help="none: sum up")
+    parser.add_argument("--run", nargs="+", choices=("null", "power", "depth"), default=[], help="none: sum up")
     parser.add_argument("--seeds", type=int, nargs=2, default=(1, 2), metavar=("FIRST", "LAST"))
     parser.add_argument("--seconds", type=float, default=4.0, help="length of a flight")
     parser.add_argument("--out", type=Path, default=Path("e_values"), help="folder")
@@ -175,10 +237,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     done = {(r["what"], r["seed"], r["flights"], r["name"], r["seconds"]) for r in read_rows(path)}
     for seed in range(options.seeds[0], options.seeds[1] + 1):
         for what in options.run:
-            for row in rows_of(what, seed, options.seconds, done):
+            found = depths_of if what == "depth" else functools.partial(rows_of, what)
+            for row in found(seed, options.seconds, done):
                 append_json_line(path, row)
-                value = "none" if row["log10_e"] is None else f"{row['log10_e']:.2f}"
-                print(f"{what} {seed} {row['flights']} {row['name']}: log10 E {value}", flush=True)
+                print(said(row), flush=True)
     rows = read_rows(path)
     print(summary(rows))
     if options.figure is not None:

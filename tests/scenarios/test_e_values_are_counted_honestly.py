@@ -28,6 +28,15 @@ def test_a_fit_that_did_not_end_is_said_and_is_no_evidence():
     assert grown([row(1, None, what="power"), row(2, 3.0, what="power", flights=2)]) == {2: [3.0]}
 
 
+def test_depths_of_optima_are_those_of_every_later_step_of_fits_that_ended():
+    known = {"what": "depth", "seed": 1, "flights": 1, "seconds": 4.0}
+    rows = [known | {"name": "", "converged": True, "depths": [1.0] * 99}]
+    rows += [known | {"name": "rotor_drag", "converged": c, "depths": [d]} for c, d in ((True, 12.0), (False, 50.0))]
+    assert "100 later steps of 2 fits: half below 1, 95 % below 1" in summary(rows)
+    assert "deepest 12; charged 10" in summary(rows)
+    assert "did not end): 0 of 0" in summary(rows), "they are no e-values"
+
+
 def test_the_figure_is_drawn_of_whatever_there_is():
     assert drawn([row(1, -1.0)]).startswith("<?xml")
     assert drawn([row(1, 2.0 * n, what="power", flights=n) for n in (1, 2, 4)]).startswith("<?xml")
