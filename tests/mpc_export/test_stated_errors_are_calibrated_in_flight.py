@@ -13,6 +13,7 @@ from mpc_export.calibration import COLUMNS, GAIN, LEVEL, WIDEST, Calibration, ca
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
 from tests.mpc_export import cases, compiled
+from tests.mpc_export.predictor_cases import ALONE, PREDICTORS
 from tests.mpc_export.test_the_filter_adapts_in_flight import pushed_cart
 
 HALF = norm.ppf(0.5 + 0.5 * LEVEL)
@@ -172,9 +173,11 @@ def test_the_export_calibrates_in_c(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("real", ["double", "float"])
-def test_the_self_test_of_a_calibrated_bundle_passes(tmp_path, real):
+@pytest.mark.parametrize(
+    ("source", "real"),
+    [(cases.hybrid, "double"), (cases.hybrid, "float"), (PREDICTORS["NARX"], "double"), (ALONE["GP alone"], "double")],
+)
+def test_the_self_test_of_a_calibrated_bundle_passes(tmp_path, source, real):
     compiled.needs_compiler()
-    model = cases.hybrid()
-    bundle = write_bundle(model, tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False)
+    bundle = write_bundle(source(), tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False)
     assert verify([str(bundle.folder)]) == 0
