@@ -46,6 +46,8 @@ from scenarios.studies.rows import open_ended, read_rows
 DT, SECONDS, T0 = 0.01, 11.0, 4.0
 WINDOW = 0.5
 """Rows keep the share of time beyond a limit in windows of this length after the shock [s], and before it."""
+WINDOWS = round((SECONDS - T0 - 1.0) / WINDOW)
+"""So many of them, whenever the shock comes."""
 SWING, PERIOD, HEIGHT = 1.0, 4.0, 1.5
 LEVEL = 0.05
 KAPPA = 1.96
@@ -194,13 +196,18 @@ def fly(pilot: Any, plant: ForeignPlant, shock: str, seed: int) -> dict[str, Any
         place = np.array([now[n] for n in "xyz"])
         beyond.append(float(np.max(PLANES[:, :3] @ place - PLANES[:, 3])))
         away.append(float(np.linalg.norm(place - goal.position[k])))
-        if not away[-1] < LOST:
+        # who lands has left the path on purpose; the limits still count
+        if not away[-1] < LOST and not _lands(pilot):
             break
         plant.step(u.tolist(), DT)
         u = after
     return row_of(np.array(beyond), np.array(away), at, steps) | coverage(np.array(within), at) | {
-        "shock": shock, "seed": seed, "at": at, "descended": isinstance(pilot, TubeController) and pilot.descending,
+        "shock": shock, "seed": seed, "at": at, "descended": _lands(pilot),
     }  # fmt: skip
+
+
+def _lands(pilot: Any) -> bool:
+    return isinstance(pilot, TubeController) and pilot.descending
 
 
 def _within(pilot: Any) -> tuple[float, float, int]:
@@ -230,7 +237,7 @@ def row_of(beyond: FloatArray, away: FloatArray, at: float, steps: int) -> dict[
     lost = len(beyond) < steps
     first, size = round(at / DT), round(WINDOW / DT)
     bad = np.concatenate([beyond > 0.0, np.ones(steps - len(beyond))])
-    windows = [bad[k : k + size] for k in range(first, steps - size + 1, size)]
+    windows = [bad[k : k + size] for k in range(first, first + WINDOWS * size, size)]
     settled = bad[round(2.0 / DT) : first]
     return {
         "lost": lost, "before": round(float(settled.mean()), 4), "after": [round(float(w.mean()), 4) for w in windows],
@@ -242,7 +249,7 @@ def row_of(beyond: FloatArray, away: FloatArray, at: float, steps: int) -> dict[
 def back(rows: Sequence[Mapping[str, Any]]) -> float:
     """Seconds after the shock from which on the mean share beyond in all later windows together keeps LEVEL; infinite:
     never."""
-    share = np.mean([r["after"] for r in rows], axis=0)
+    share = np.mean([r["after"][:WINDOWS] for r in rows], axis=0)
     for k in range(len(share)):
         if share[k] <= LEVEL and share[k:].mean() <= LEVEL:
             return WINDOW * k
@@ -252,7 +259,7 @@ def back(rows: Sequence[Mapping[str, Any]]) -> float:
 def summary(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table in Markdown: one line per shock and controller."""
     lines = [
-        f"| shock | controller | flights | lost | beyond before | 0 to {BACK:g} s after | later | "
+        f"| shock | controller | flights | lost, landing | beyond before | 0 to {BACK:g} s after | later | "
         "flights above the level later (95 %) | back after | deepest | from the path | "
         f"errors inside calibrated and stated 95 %, 0 to {BACK:g} s after | later |",
         "|" + "---|" * 13,
@@ -263,12 +270,12 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> str:
             if not mine:
                 continue
             cut = round(BACK / WINDOW)
-            early, late = (np.array([np.mean(r["after"][s]) for r in mine]) for s in (slice(0, cut), slice(cut, None)))
+            early, late = (np.array([np.mean(r["after"][s]) for r in mine]) for s in (slice(0, cut), slice(cut, WINDOWS)))
             bad = int(np.sum(late > LEVEL))
             low, high = exact(bad, len(mine))
             when = back(mine)
             lines.append(
-                f"| {shock} | {name} | {len(mine)} | {sum(r['lost'] for r in mine)} | "
+                f"| {shock} | {name} | {len(mine)} | {sum(r['lost'] for r in mine)}, {sum(r['descended'] for r in mine)} | "
                 f"{100 * np.mean([r['before'] for r in mine]):.1f} % | {100 * early.mean():.1f} % | "
                 f"{100 * late.mean():.1f} % | "
                 f"{bad} ({100 * low:.0f} to {100 * high:.0f} %) | {f'{when:g} s' if math.isfinite(when) else 'never'} | "

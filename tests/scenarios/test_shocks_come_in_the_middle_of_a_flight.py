@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scenarios.foreign.draw import draw, plant_of
-from scenarios.studies.shocks import BACK, HEIGHT, LEVEL, SHOCKS, WINDOW, Corner, back, row_of, summary
+from scenarios.studies.shocks import BACK, HEIGHT, LEVEL, SHOCKS, WINDOW, WINDOWS, Corner, back, row_of, summary
 
 
 @pytest.fixture(params=["rotorpy", "mujoco"])
@@ -83,11 +83,11 @@ def test_rows_count_time_beyond_and_a_lost_flight_is_beyond_for_good():
     beyond[450:475] = 0.02
     row = row_of(beyond, away, 4.5, 1100)
     assert (row["lost"], row["before"], row["deepest"]) == (False, 0.0, 20.0)
-    assert row["after"][:2] == [0.5, 0.0] and len(row["after"]) == round(6.5 / WINDOW)
+    assert row["after"][:2] == [0.5, 0.0] and len(row["after"]) == WINDOWS == round(6.0 / WINDOW)
     assert back([row]) == WINDOW
     lost = row_of(beyond[:600], away[:600], 4.5, 1100)
     assert lost["lost"] and lost["after"][-1] == 1.0 and back([lost]) == np.inf
-    rows = [r | {"shock": "wind", "controller": "tube"} for r in (row, lost)]
+    rows = [r | {"shock": "wind", "controller": "tube", "descended": False} for r in (row, lost)]
     line = summary(rows).splitlines()[-1]
-    assert "| wind | tube | 2 | 1 |" in line and "| 1 (1 to 99 %) |" in line
+    assert "| wind | tube | 2 | 1, 0 |" in line and "| 1 (1 to 99 %) |" in line
     assert LEVEL < 0.5 < BACK
