@@ -81,7 +81,7 @@ class Calibration:
         return len(self.delays) + sum(self.delays)
 
     def start(self) -> dict[str, FloatArray]:
-        """F (n_x, COLUMNS) is anything finite; clock and theta before the first sample."""
+        """clock and theta before the first sample, where F (n_x, COLUMNS) is anything finite."""
         return {"clock": np.zeros(1), "theta": np.zeros((len(self.sigma), self.remembered))}
 
 
@@ -148,7 +148,9 @@ def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibr
     x, u, p = (ca.MX.sym(n, step.numel_in(n)) for n in ("x", "u", "p"))
     x_next, y = ca.MX.sym("x_next", x.numel()), ca.MX.sym("y", innovation.numel_in(0))
     there, clock = ca.MX.sym("there", innovation.numel_out(0)), ca.MX.sym("clock")
-    under_way = ca.MX.sym("F", x.numel(), COLUMNS)
+    given = ca.MX.sym("F", x.numel(), COLUMNS)
+    # what has not begun yet may be anything, such as a quaternion of no length
+    under_way = ca.horzcat(*(ca.if_else(clock > k * own.every, given[:, k], x) for k in range(COLUMNS)))
     due = ca.fmod(clock, own.every) == 0
     on = ca.if_else(there != 0, 1.0, 0.0)
     errors, seen = [], []
@@ -167,7 +169,7 @@ def forecast_function(functions: Mapping[str, Any], innovation: Any, own: Calibr
     later = clock + 1 - longest * (clock + 1 >= 2 * longest)
     results = [after, later, ca.horzcat(*errors), ca.horzcat(*seen)]
     return ca.Function(
-        "forecast_step", [x, x_next, u, p, y, there, under_way, clock], [ca.densify(r) for r in results],
+        "forecast_step", [x, x_next, u, p, y, there, given, clock], [ca.densify(r) for r in results],
         ["x", "x_next", "u", "p", "y", "there", "F", "clock"], ["F_next", "clock_next", "E", "seen"],
     )  # fmt: skip
 

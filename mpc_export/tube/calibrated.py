@@ -7,10 +7,11 @@ interpolated, beyond the longest they stay. What no sensor measures keeps what t
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from greybox.symbolic import FloatArray
-from mpc_export.calibration import COLUMNS, GAIN, LEVEL
+from mpc_export.calibration import COLUMNS, GAIN, LEVEL, normal_half_width
 from mpc_export.functions import ModelFunctions
 from mpc_export.tube.native import native
 
@@ -18,13 +19,16 @@ from mpc_export.tube.native import native
 class Calibrated:
     """Forecasts under way and scales of one flight. functions: the model at the filter's sample time, group "calibrate".
 
-    `scale` (n_e, n_h) is in force now.
+    `scale` (n_e, n_h) is in force now. `held` and `stated` (n_e, n_h): whether the errors of the last sample were within the
+    calibrated intervals and within those of the model alone; NaN where no forecast came due.
     """
 
     def __init__(self, functions: ModelFunctions) -> None:
         self.own = functions.calibration
         self._forecast, self._calibrate = (native(functions[n]) for n in ("forecast_step", "calibrate_step"))
         self._states = len(functions.states)
+        self._half = float(ca.DM(normal_half_width(ca.DM(LEVEL)))) * self.own.sigma
+        self._late = [at + delay for at, delay in zip(self.own.first, self.own.delays, strict=True)]
         self._ahead = np.array(self.own.samples) * functions.dt
         names = functions.innovations.names
         self._place, self._tilt = (
@@ -37,6 +41,7 @@ class Calibrated:
         """As the model says."""
         self._theta = self.own.start()["theta"]
         self.scale = np.ones(self.own.sigma.shape)
+        self.held = self.stated = np.full(self.own.sigma.shape, np.nan)
         self.anew()
 
     def anew(self) -> None:
@@ -49,8 +54,17 @@ class Calibrated:
         """One sample: the filter's state before and after it, the command in force, what is measured and believed."""
         under_way, clock, error, seen = self._forecast(x, after, u, p, y, there, self._under_way, self._clock)
         self._under_way, self._clock = under_way.full(), clock.full()
+        size, due = np.abs(error.full()), seen.full() != 0
+        self.stated = np.where(due, size <= self._half, np.nan)
+        self.held = np.where(due, size <= self._half * np.exp(self._theta[:, self._late]), np.nan)
         theta, scale = self._calibrate(self._theta, error, seen, self.own.sigma, LEVEL, GAIN)
         self._theta, self.scale = theta.full(), scale.full()
+
+    def unrest(self, kind: str) -> float:
+        """By how much larger than stated disturbances of a kind, "force" or "torque", must be: the largest scale of the
+        place or of roll and pitch beyond one sample; 1 where they are not measured or errors are smaller."""
+        rows = self._place if kind == "force" else self._tilt
+        return max(1.0, float(self.scale[rows, 1:].max())) if rows else 1.0
 
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
         """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the last measurement."""

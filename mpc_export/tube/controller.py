@@ -119,7 +119,8 @@ class TubeController:
     calibrate: planes and tilt are tightened by as much more or less as errors of forecasts turn out (calibrated.py).
     adapt: the filter learns parameters in flight and plans use them (adaptation.py): those that differ between the model's
     training flights, and those named, with the standard deviation that they may be off by ({}: the former alone; None:
-    nothing). They are forgotten within `memory` [s], 0: never.
+    nothing). They are forgotten within `memory` [s], 0: never. Both together: where errors are larger than stated,
+    disturbances are followed faster.
     lost [m]: farther from the reference than this, a descent is declared; only for references that do not jump.
     The sample time of `problem` must be a multiple of the model's. Raises `ModelError`, `BuildError`.
     """
@@ -143,14 +144,21 @@ class TubeController:
         self._blocks: dict[tuple[str, bool], list[int]] = {}
         self.every = max(1, round(self.problem.dt / self.model.sample_time))
         model = _integrating(self.model) if self.integrate else self.model
-        groups = ["filter", *(["calibrate"] if self.calibrate else []), *(["adapt"] if self.adapt is not None else [])]
+        wanted = ["filter", *(["calibrate"] if self.calibrate else []), *(["adapt"] if self.adapt is not None else [])]
         if self.adapt is not None:
+            if not 0.0 <= self.memory < math.inf:
+                raise ModelError("adapt: memory is a time in seconds, 0 for ever", got=f"{self.memory:g} s")
             model = _uncertain(model, self.adapt)
         self.functions: ModelFunctions = model_functions(
             model, dt=self.problem.dt, with_=("covariance", "target"),
             runtime_parameters=() if self.adapt is None else flight_parameters(model),
         )  # fmt: skip
-        self.filter: ModelFunctions = model_functions(model, with_=groups)
+        self.filter: ModelFunctions = model_functions(model, with_=wanted)
+        noise = dict(zip(self.filter.error_states.names, np.diag(self.filter.noise.process), strict=True))
+        self._pushes = [
+            (at, name.split(".")[2], float(noise[f"d_{name.removeprefix('error.')}"]))
+            for at, name in enumerate(self.filter.adapted.names) if name.startswith("error.disturbance.")
+        ]  # fmt: skip
         self._adapt = native(self.filter["adapt_step"]) if self.adapt is not None else None
         self.calibrated = Calibrated(self.filter) if self.calibrate else None
         self.solver = TubeSolver(
@@ -371,6 +379,9 @@ class TubeController:
         """Take over what the filter says of the parameters, unless it is not finite."""
         if learned is not None:
             p, unsure = learned[0].full().ravel(), learned[1].full()
+            if self.calibrated is not None:
+                for at, kind, variance in self._pushes:
+                    unsure[at, at] += (self.calibrated.unrest(kind) ** 2 - 1.0) * variance
             if np.isfinite(p).all() and np.isfinite(unsure).all():
                 self.p, self._unsure = p, unsure
 
@@ -599,8 +610,9 @@ def _uncertain(model: IdentifiedModel, spread: Mapping[str, float]) -> Identifie
         if not (math.isfinite(sigma) and sigma > 0):
             raise ModelError(f"adapt: {name} needs a standard deviation above zero", got=f"{sigma:g}")
     return replace(
-        model, flight_spread={**model.flight_spread, **{n: (model.values[n], s) for n, s in spread.items()}}
-    )
+        model, flight_spread={**model.flight_spread, **{n: (model.values[n], s) for n, s in spread.items()}},
+        considered={n: v for n, v in model.considered.items() if n not in spread},
+    )  # fmt: skip
 
 
 def _number(value: object) -> float:

@@ -93,6 +93,12 @@ class MuJoCoPlant(ForeignPlant):
             self._apply(mean / 6.0, wind, twist, load)
             mujoco.mj_step(self._model, self._data)
 
+    def _carry_over(self, before: ForeignPlant) -> None:
+        if not isinstance(before, MuJoCoPlant):
+            raise ValueError(f"a craft in {before.simulator} cannot go on in MuJoCo")
+        self._data.qpos[:], self._data.qvel[:] = before._data.qpos, before._data.qvel
+        self._nu = before._nu.copy()
+
     def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
         data = self._data
         self._apply(self._rotors(self._nu), wind, twist, load)

@@ -166,6 +166,29 @@ class ForeignPlant(ABC):
     def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
         """The present motion in this wind [m/s], swirl of the gusts [N m, body] and load."""
 
+    def goes_on_as(self, craft: Craft) -> ForeignPlant:
+        """This flight with another craft from now on: its motion, commands, sensors' noise and gusts go on, in the air of
+        the new one. Hidden states of outside effects begin anew.
+
+        Raises ValueError where the simulator has no way to do so.
+        """
+        other = type(self)(
+            craft, sensors=self.sensors, sample_time=self.sample_time, effects=self._loads.effects
+        )
+        other.time, other.voltage, other._charge = self.time, self.voltage, self._charge
+        # what was sent before all that is remembered counts, should commands come later from now on
+        other._history = [(-math.inf, self._history[0][1]), *self._history[1:]]
+        other._gusts, other._gusts.air = self._gusts, craft.air
+        other._random, other._row, other._aim = self._random, self._row, self._aim
+        other._kept = list(self._kept)
+        other._carry_over(self)
+        other._motion = None
+        return other
+
+    def _carry_over(self, before: ForeignPlant) -> None:
+        """Take the simulator's state from a plant of the same kind."""
+        raise ValueError(f"a craft in {self.simulator} cannot change in flight")
+
     @property
     def exact(self) -> dict[str, float]:
         """Parameters of effects that this simulator has in just the form of greybox's catalogue."""

@@ -153,6 +153,13 @@ class RotorPyPlant(ForeignPlant):
         command = {"cmd_motor_speeds": self._speeds(np.array(target))}
         self._state = self._vehicle.step(self._state, command, duration)
 
+    def _carry_over(self, before: ForeignPlant) -> None:
+        if not isinstance(before, RotorPyPlant):
+            raise ValueError(f"a craft in {before.simulator} cannot go on in RotorPy")
+        # rotors keep their speed, which stands here times their strength
+        speeds = before._state["rotor_speeds"] * self._strength / before._strength
+        self._state = {n: v.copy() for n, v in before._state.items()} | {"rotor_speeds": speeds}
+
     def _look(self, wind: Vector, twist: Vector, load: Load) -> Motion:
         state = self._state | {"wind": np.array(wind)}
         self._vehicle.load = load

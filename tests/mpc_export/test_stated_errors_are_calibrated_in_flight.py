@@ -13,6 +13,7 @@ from mpc_export.calibration import COLUMNS, GAIN, LEVEL, WIDEST, Calibration, ca
 from mpc_export.functions import model_functions
 from mpc_export.verify import main as verify
 from tests.mpc_export import cases, compiled
+from tests.mpc_export.predictor_cases import ALONE, PREDICTORS
 from tests.mpc_export.test_the_filter_adapts_in_flight import pushed_cart
 
 HALF = norm.ppf(0.5 + 0.5 * LEVEL)
@@ -137,6 +138,19 @@ def test_errors_of_forecasts_are_those_of_the_model_flown_again_and_as_wide_as_s
     assert np.sqrt(np.mean(settled**2, axis=(0, 1))) == pytest.approx(own.sigma.ravel(), rel=0.08)
 
 
+def test_a_flight_begins_with_zeros_in_place_of_forecasts():
+    functions = model_functions(cases.disturbed(), with_=("calibrate",))
+    x, u = functions.reference
+    p, there = functions.parameter_values, np.ones(len(functions.innovations))
+    y = functions["h"](x, u, p)
+    under_way, clock = np.zeros((x.size, COLUMNS)), 0.0
+    for k in range(12):
+        given = [x, x, u, p, y, there, under_way, clock]
+        under_way, clock, errors, seen = (np.array(v) for v in functions["forecast_step"](*given))
+        assert all(np.isfinite(v).all() for v in (under_way, errors))
+        assert seen.any(axis=0).tolist() == [True, k in (5, 10), k == 10, False, False]
+
+
 def test_the_export_calibrates_in_c(tmp_path):
     compiled.needs_compiler()
     bundle = write_bundle(cases.linear(), tmp_path / "own", targets=("c",), with_=("calibrate",), use_cache=False)
@@ -172,9 +186,11 @@ def test_the_export_calibrates_in_c(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("real", ["double", "float"])
-def test_the_self_test_of_a_calibrated_bundle_passes(tmp_path, real):
+@pytest.mark.parametrize(
+    ("source", "real"),
+    [(cases.hybrid, "double"), (cases.hybrid, "float"), (PREDICTORS["NARX"], "double"), (ALONE["GP alone"], "double")],
+)
+def test_the_self_test_of_a_calibrated_bundle_passes(tmp_path, source, real):
     compiled.needs_compiler()
-    model = cases.hybrid()
-    bundle = write_bundle(model, tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False)
+    bundle = write_bundle(source(), tmp_path / "own", real=real, targets=("c",), with_=("calibrate",), use_cache=False)
     assert verify([str(bundle.folder)]) == 0

@@ -10,6 +10,7 @@ import pytest
 
 from greybox.errors import ModelError
 from mpc_export.functions import model_functions
+from mpc_export.tube.calibrated import Calibrated
 from mpc_export.tube.controller import TubeController
 from mpc_export.tube.problem import TubeProblem
 from tests.mpc_export import cases
@@ -54,6 +55,36 @@ def test_a_fifth_more_mass_in_a_steady_wind_leaves_no_offset():
 
 
 @pytest.mark.slow
+def test_errors_ten_times_as_large_as_stated_make_the_filter_follow_a_force_sooner(monkeypatch):
+    """A force of a tenth of the weight comes at once."""
+    controller = pilot()
+    model = controller.model
+    plant = model_functions(model)
+    at = plant.states.names.index("disturbance.force.x")
+    force, left = 0.1 * 9.81 * model.values["mass"], {}
+    for size in (1.0, 10.0):
+        monkeypatch.setattr(controller.calibrated, "unrest", lambda kind, size=size: size)
+        controller.start()
+        x, u, off = controller.estimate.copy(), controller.u, []
+        for k in range(90):
+            x[at] = force * (k >= 50)
+            y = plant["h"](x, u, plant.parameter_values).full().ravel()
+            new = controller.sample(0.01 * k, dict(zip(plant.outputs.names, y.tolist())))
+            x, u = plant["f_d"](x, u, plant.parameter_values).full().ravel(), np.array(new)
+            off.append(abs(controller.estimate[at] / force - (k >= 50)))
+        left[size] = np.mean(off[55:])
+    assert left[10.0] < 0.7 * left[1.0]
+
+
+def test_disturbances_are_as_restless_as_the_largest_scale_beyond_one_sample():
+    own = Calibrated(model_functions(cases.disturbed(), with_=("calibrate",)))
+    assert own.unrest("force") == own.unrest("torque") == 1.0
+    own.scale[1] = [9.0, 1.0, 3.0, 2.0, 0.5]
+    own.scale[4] = 0.5
+    assert (own.unrest("force"), own.unrest("torque")) == (3.0, 1.0)
+
+
+@pytest.mark.slow
 def test_no_measurement_takes_parameters_disturbances_or_commands_out_of_their_bounds():
     controller = pilot()
     own, states = controller.filter.adapted, controller.filter.states
@@ -71,9 +102,10 @@ def test_no_measurement_takes_parameters_disturbances_or_commands_out_of_their_b
 
 
 @pytest.mark.parametrize(
-    ("adapt", "words"),
-    [({"weight": 0.1}, "no parameter weight"), ({"mass": 0.0}, "above zero"), ({}, "no parameter of this model differs")],
-)
-def test_what_cannot_be_learned_is_refused_in_one_line(adapt, words):
+    ("adapt", "memory", "words"),
+    [({"weight": 0.1}, 10.0, "no parameter weight"), ({"mass": 0.0}, 10.0, "above zero"), ({}, math.nan, "memory is a time"),
+     ({}, 10.0, "no parameter of this model differs")],
+)  # fmt: skip
+def test_what_cannot_be_learned_is_refused_in_one_line(adapt, memory, words):
     with pytest.raises(ModelError, match=words):
-        TubeController(model=cases.disturbed(), problem=PROBLEM, reference=Hover(), adapt=adapt)
+        TubeController(model=cases.disturbed(), problem=PROBLEM, reference=Hover(), adapt=adapt, memory=memory)
