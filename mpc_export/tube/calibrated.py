@@ -2,7 +2,11 @@
 
 A plane of normal n is tightened by sqrt(sum_i n_i^2 s_i^2) times as much, s the scales of the measured place's axes: exact
 where the axes are equally unsure. The tilt takes the larger scale of roll and pitch. Between horizons scales are
-interpolated, beyond the longest they stay. What no sensor measures keeps what the model says: scale 1.
+interpolated, beyond the longest they stay. What no sensor measures keeps what the model says: scale 1. Less than that no
+plane is tightened: calm air promises nothing, and the longest horizons need seconds to learn of a gust.
+
+Scales are of errors of measurements, sensor noise included, and widen the covariance of the state alone: one sample ahead,
+where most of the error is the sensor's, they tell little of the state; from .1 s on the state's share prevails.
 """
 
 from __future__ import annotations
@@ -69,7 +73,7 @@ class Calibrated:
     def wider(self, ahead: FloatArray, planes: FloatArray) -> FloatArray:
         """(n, n_p + 1): factors of the planes (n, n_p, 4) and of the tilt, (n,) seconds after the last measurement."""
         log = np.log(self.scale)
-        s = np.exp([np.interp(ahead, self._ahead, row) for row in log]).T
+        s = np.exp([np.interp(ahead, self._ahead, np.maximum(row, 0.0)) for row in log]).T
         out = np.ones((len(ahead), planes.shape[1] + 1))
         if len(self._place) == 3:
             normal = planes[..., :3]

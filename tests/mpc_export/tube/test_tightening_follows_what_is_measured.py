@@ -29,6 +29,8 @@ def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controll
     np.testing.assert_allclose(found[:2, 1], [np.hypot(0.6 * 3, 0.8), np.hypot(0.6 * 3, 0.8 * between)])
     assert found[2, 1] == 1.0, "no plane there"
     np.testing.assert_allclose(found[:, 2], 1.5)
+    own.scale[:] = 0.2
+    np.testing.assert_array_equal(own.wider(ahead, planes), 1.0, "calm air frees no limit")
 
 
 def test_noise_of_three_times_its_level_is_met_and_forgotten_by_half_in_280_samples(controller):
