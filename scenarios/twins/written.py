@@ -135,7 +135,7 @@ def _rotorpy(
     start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None,
     pushes: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
-    class Pushed(multirotor):  # type: ignore[misc]
+    class Pushed(multirotor):
         """Pushed by the force and moment `push` (6,), body axes."""
 
         push = np.zeros(6)
