@@ -78,8 +78,8 @@ def study(
                 flown = _flown(module, commands, place, targets, starts, inputs, rows, steps, dt)
                 seen = {who: _seen(module, states, inputs, rows, real) for who, states in flown.items()}
                 truth = {g: np.stack([v[rows + 1 + k] for k in range(steps)], axis=1) for g, v in real.items()}
-                for who, values in seen.items():
-                    for group, value in values.items():
+                for who, outputs in seen.items():
+                    for group, value in outputs.items():
                         errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth[group]))
                 if not smoothed:
                     apart = _seen(module, _ours(module, best, inputs, rows, steps), inputs, rows, real)
