@@ -18,6 +18,7 @@ from greybox.simulators.craft import Craft
 from greybox.simulators.draws import draw
 from greybox.simulators.matrix import matrix
 from greybox.simulators.push_levels import with_push_levels
+from greybox.simulators.push_text import push_text
 from greybox.simulators.rest_text import rest_text
 from greybox.simulators.sensor_text import sensor_text
 from greybox.simulators.statement import Statement, state
@@ -27,6 +28,8 @@ from greybox.simulators.words import Status
 SCHEMA = "greybox.twin/1"
 REST = """rest.py has what is folded or lost of forces and moments, to be applied from outside; learned and
 unexplained pushes and effects with a memory are not in it.
+"""
+PUSHES = """pushes.py has the unexplained pushes that last, to be applied from outside.
 """
 
 
@@ -142,7 +145,7 @@ def twin(
     names = tuple(targets) or tuple(t.name for t in TARGETS)
     if double := sorted({n for n in names if names.count(n) > 1}):
         raise DataError(f"target {double[0]} twice", fix="name every target once")
-    sensors = sensor_text(craft, model.flight_spread)
+    sensors, pushes = sensor_text(craft, model.flight_spread), push_text(craft)
     statements: list[Statement] = []
     files: dict[str, str | bytes] = {}
     notes = [] if craft.speed_known else [_counted(craft)]
@@ -157,10 +160,14 @@ def twin(
         statements.append(said)
         texts = dict(target.files(said.spoken))
         lost = said.text + "\n"
-        left = rest_text(craft, said.spoken, said.simulator) if "commands.py" in texts else None
+        driven = "commands.py" in texts
+        left = rest_text(craft, said.spoken, said.simulator) if driven else None
         if left is not None:
             texts["rest.py"] = left
             lost += REST
+        if driven and pushes is not None:
+            texts["pushes.py"] = pushes
+            lost += PUSHES
         for name, text in {**texts, "sensors.toml": sensors, "LOST.txt": lost}.items():
             files[f"{target.name}/{name}"] = text
     drawn = None if draws is None else draw(model, draws, seed)

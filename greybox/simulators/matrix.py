@@ -17,7 +17,7 @@ COLUMNS = 7
 TOGETHER = "all that is left out"
 """The last row of every block."""
 
-LEGEND = "without a number: counted in another row, of a sensor (sensors.toml), or a push (--draws)"
+LEGEND = "without a number: counted in another row, of a sensor (sensors.toml), or a push (pushes.py, --draws)"
 
 
 def matrix(statements: Sequence[Statement]) -> str:

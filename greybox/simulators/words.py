@@ -86,7 +86,8 @@ class Wording:
                 Word(
                     effect=LEARNED,
                     status=Status.LOST,
-                    how=f"{self.simulator} has no place for them; --draws gives them as arrays",
+                    how=f"{self.simulator} has no place for them; pushes.py, beside commands.py, "
+                    "and --draws give them",
                 )
             )
         return tuple(sorted(self.rows, key=lambda w: order.index(w.effect)))

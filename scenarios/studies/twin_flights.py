@@ -5,9 +5,9 @@
 
 From instants of each flight (every `SPACING` seconds, after the first five, on which the flight's own parameters are
 adapted) the recorded commands are flown for half a second: by our model, by each simulator on the files of `greybox twin`
-(with and without rest.py) and by RotorPy's and drone-models' own Crazyflie. All start from the same filtered state; sensor
-errors (bias, misalignment, delay) are taken as our model has them, for everybody. Shipped craft get our command map and
-delay, scaled so that they hover at our hover command: more than their files say.
+(with and without rest.py, and with the present push by pushes.py) and by RotorPy's and drone-models' own Crazyflie. All
+start from the same state; sensor errors (bias, misalignment, delay) are taken as our model has them, for everybody.
+Shipped craft get our command map and delay, scaled so that they hover at our hover command: more than their files say.
 
 The filter knows the start by the samples before it. `--start smoothed` begins from what the whole flight says of it, so
 that what remains is the simulators' own; the row `the start alone` is how far our model flies apart from the two starts:
@@ -42,6 +42,8 @@ from scenarios.twins.written import FLYERS, SHIPPED, Start, load
 
 SPACING, ADAPT, SECONDS = 1.0, 5.0, 0.5
 HORIZONS = (0.1, 0.5)
+PUSHED = ("rotorpy", "mujoco", "drone-models", "crazyflow", "pybullet")
+"""Simulators that take the present push as pushes.py has it."""
 OURS, START = "our model", "the start alone"
 UNITS = {"position": "m", "velocity": "m/s", "rotation": "rad", "rate": "rad/s"}
 IntArray = npt.NDArray[np.int64]
@@ -76,8 +78,8 @@ def study(
                 flown = _flown(module, commands, place, targets, starts, inputs, rows, steps, dt)
                 seen = {who: _seen(module, states, inputs, rows, real) for who, states in flown.items()}
                 truth = {g: np.stack([v[rows + 1 + k] for k in range(steps)], axis=1) for g, v in real.items()}
-                for who, values in seen.items():
-                    for group, value in values.items():
+                for who, outputs in seen.items():
+                    for group, value in outputs.items():
                         errors.setdefault(who, {}).setdefault(group, []).append(_squared(group, value, truth[group]))
                 if not smoothed:
                     apart = _seen(module, _ours(module, best, inputs, rows, steps), inputs, rows, real)
@@ -111,16 +113,20 @@ def _flown(
     count = len(rotors)
     flyers: dict[str, Any] = {}
     for name in targets:
-        flyers[name] = (FLYERS[name], place / name, {})
+        flyers[name] = (FLYERS[name], place / name, {}, False)
+        further, with_ = {}, "with"
         if (place / name / "rest.py").is_file():
-            flyers[f"{name} with rest.py"] = (FLYERS[name], place / name, {"rest": True})
-    flyers |= {f"shipped: {n}": (fly, commands, {}) for n, fly in SHIPPED.items() if n in targets}
-    for who, (fly, first, further) in flyers.items():
+            further, with_ = {"rest": True}, "with rest.py,"
+            flyers[f"{name} with rest.py"] = (FLYERS[name], place / name, further, False)
+        if name in PUSHED and pushes:
+            flyers[f"{name} {with_} pushes.py"] = (FLYERS[name], place / name, further, True)
+    flyers |= {f"shipped: {n}": (fly, commands, {}, False) for n, fly in SHIPPED.items() if n in targets}
+    for who, (fly, first, further, pushed) in flyers.items():
         flights = []
         for x, s in zip(starts, rows, strict=True):
             start = Start(
                 position=x[:3], velocity=x[3:6], attitude=x[6:10] / np.linalg.norm(x[6:10]), rate=x[10:13],
-                rotors=x[rotors],
+                rotors=x[rotors], push=_push(names, x) if pushed else None,
             )  # fmt: skip
             window = inputs[s : s + past + steps]
             volt = window[past:, count] if inputs.shape[1] > count else None
@@ -131,6 +137,12 @@ def _flown(
         states[..., rotors] = found[..., 13:]
         out[who] = states
     return out
+
+
+def _push(names: Sequence[str], x: FloatArray) -> FloatArray:
+    """Force and moment (6,) that push a craft in state x (n_x,); zero where the model has none."""
+    state = dict(zip(names, x.tolist(), strict=True))
+    return np.array([state.get(f"disturbance.{g}.{a}", 0.0) for g in ("force", "torque") for a in "xyz"])
 
 
 def _ours(module: Any, starts: FloatArray, inputs: FloatArray, rows: IntArray, steps: int) -> FloatArray:

@@ -32,13 +32,15 @@ PER_MINUTE = 60.0 / (2.0 * math.pi)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Start:
-    """Position, velocity (world), attitude (w, x, y, z), rate (body) of the centre of mass, speeds nu (n,) of the rotors."""
+    """Position, velocity (world), attitude (w, x, y, z), rate (body) of the centre of mass, speeds nu (n,) of the rotors.
+    `push`: force [N] and moment [N m] (6,) in body axes that push it now and fade as pushes.py says; None without."""
 
     position: FloatArray
     velocity: FloatArray
     attitude: FloatArray
     rate: FloatArray
     rotors: FloatArray
+    push: FloatArray | None = None
 
 
 Flyer = Callable[..., FloatArray]
@@ -93,6 +95,15 @@ def _arriving(
         yield [(s, commands.normalised_speed(held, volt)) for s, held in line.pieces(sent, dt)]
 
 
+def _fading(folder: Path, start: Start, steps: int, dt: float) -> FloatArray:
+    """Force and moment (steps, 6) of the start's push in every step, body axes."""
+    if start.push is None:
+        return np.zeros((steps, 6))
+    (module,) = load(folder, "pushes")
+    pushes = module.Pushes(force=start.push[:3], moment=start.push[3:])
+    return np.array([np.concatenate(pushes.step(dt)) for _ in range(steps)])
+
+
 def fly_rotorpy(
     folder: Path, start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None = None,
     *, rest: bool = False,
@@ -108,7 +119,7 @@ def fly_rotorpy(
         finally:
             del sys.modules["rest"], sys.modules["commands"]
     return _rotorpy(multirotor, vehicle.quad_params, commands, vehicle.WIND, vehicle.STRENGTH, commands.SPEED_MAX,
-                    start, u, before, dt, voltage)  # fmt: skip
+                    start, u, before, dt, voltage, _fading(folder, start, len(u), dt))  # fmt: skip
 
 
 def _multirotor() -> Any:
@@ -122,16 +133,31 @@ def _multirotor() -> Any:
 def _rotorpy(
     multirotor: Any, params: Mapping[str, Any], commands: Any, wind: FloatArray, strength: FloatArray, scale: float,
     start: Start, u: FloatArray, before: FloatArray, dt: float, voltage: FloatArray | None,
+    pushes: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
+    class Pushed(multirotor):
+        """Pushed by the force and moment `push` (6,), body axes."""
+
+        push = np.zeros(6)
+
+        def _s_dot_fn(self, t: float, s: FloatArray, cmd_rotor_speeds: FloatArray) -> FloatArray:
+            out = super()._s_dot_fn(t, s, cmd_rotor_speeds)
+            turn = rotation(s[[9, 6, 7, 8]] / np.linalg.norm(s[6:10]))
+            out[3:6] += turn @ self.push[:3] / self.mass
+            out[10:13] += self.inv_inertia @ self.push[3:]
+            return np.asarray(out)
+
     w, x, y, z = start.attitude
     speeds = scale * np.sqrt(strength)
     state = {
         "x": start.position, "v": start.velocity, "q": np.array([x, y, z, w]), "w": start.rate,
         "wind": np.asarray(wind, dtype=float), "rotor_speeds": speeds * start.rotors,
     }  # fmt: skip
-    craft = multirotor(dict(params), state, integrator_kwargs={"rtol": 1e-5, "atol": 1e-7})
+    craft = Pushed(dict(params), state, integrator_kwargs={"rtol": 1e-5, "atol": 1e-7})
     rows = []
-    for pieces in _arriving(commands, u, before, dt, voltage):
+    for k, pieces in enumerate(_arriving(commands, u, before, dt, voltage)):
+        if pushes is not None:
+            craft.push = pushes[k]
         for seconds, nu in pieces:
             state = craft.step(state, {"cmd_motor_speeds": speeds * nu}, seconds)
         x, y, z, w = state["q"]
@@ -158,15 +184,17 @@ def fly_mujoco(
     data.qvel[:3] = start.velocity - turn @ np.cross(start.rate, com)
     data.qvel[3:6] = start.rate
     callback.attach()
-    rows = []
+    rows, pushes = [], _fading(folder, start, len(u), dt)
     try:
         data.act[:n] = start.rotors
-        for pieces in _arriving(commands, u, before, dt, voltage):
+        for push, pieces in zip(pushes, _arriving(commands, u, before, dt, voltage), strict=True):
             for seconds, nu in pieces:
                 count = math.ceil(seconds / STEP)
                 model.opt.timestep = seconds / count
                 data.ctrl[:] = nu
                 for _ in range(count):
+                    turn = rotation(data.qpos[3:7] / np.linalg.norm(data.qpos[3:7]))
+                    data.xfrc_applied[1] = [*(turn @ push[:3]), *(turn @ push[3:])]
                     mujoco.mj_step(model, data)
             q, rate = data.qpos[3:7].copy(), data.qvel[3:6].copy()
             turn = rotation(q)
@@ -203,7 +231,7 @@ def fly_drone_models(
     (commands,) = load(folder, "commands")
     (numbers,) = tomllib.loads((folder / "params.toml").read_text()).values()
     return _rates("drone-models", numbers, commands, commands.RPM_MAX, start, u, before, dt, voltage,
-                  load(folder, "rest")[0] if rest else None)  # fmt: skip
+                  load(folder, "rest")[0] if rest else None, _fading(folder, start, len(u), dt))  # fmt: skip
 
 
 def fly_crazyflow(
@@ -214,40 +242,45 @@ def fly_crazyflow(
     (commands,) = load(folder, "commands")
     (numbers,) = tomllib.loads((folder / "params.toml").read_text()).values()
     return _rates("crazyflow", numbers, commands, commands.RPM_MAX, start, u, before, dt, voltage,
-                  load(folder, "rest")[0] if rest else None)  # fmt: skip
+                  load(folder, "rest")[0] if rest else None, _fading(folder, start, len(u), dt))  # fmt: skip
 
 
 def _rates(
     package: str, numbers: Mapping[str, Any], commands: Any, scale: float, start: Start, u: FloatArray,
-    before: FloatArray, dt: float, voltage: FloatArray | None, rest: Any = None,
+    before: FloatArray, dt: float, voltage: FloatArray | None, rest: Any = None, pushes: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
     dynamics = _first_principles(package)
     p = {k: np.array(v, dtype=float) for k, v in numbers.items() if k in _KEYS}
     p["J_inv"] = np.linalg.inv(p["J"])
 
-    def rate(s: FloatArray, cmd: FloatArray) -> FloatArray:
+    pushes = np.zeros((len(u), 6)) if pushes is None else pushes
+
+    def rate(s: FloatArray, cmd: FloatArray, push: FloatArray) -> FloatArray:
         quat, ang = s[3:7], s[10:13]
-        extra = {}
+        q = quat[[3, 0, 1, 2]] / np.linalg.norm(quat)
+        force, moment = push[:3], push[3:]
         if rest is not None:
-            q = quat[[3, 0, 1, 2]] / np.linalg.norm(quat)
-            extra["dist_f"], extra["dist_t"] = rest.in_world(q, *rest.rest(q, s[7:10], s[:3], ang, s[13:] / scale))
+            more = rest.rest(q, s[7:10], s[:3], ang, s[13:] / scale)
+            force, moment = force + more[0], moment + more[1]
+        turn = rotation(q)
+        extra = {"dist_f": turn @ force, "dist_t": turn @ moment}
         d = dynamics(s[:3], quat, s[7:10], ang, cmd, s[13:], **p, **extra)
         v, w = quat[:3], quat[3]
-        turn = 0.5 * np.concatenate([w * ang + np.cross(v, ang), [-v @ ang]])
-        return np.concatenate([d[0], turn, d[2], d[3], d[4]])
+        turning = 0.5 * np.concatenate([w * ang + np.cross(v, ang), [-v @ ang]])
+        return np.concatenate([d[0], turning, d[2], d[3], d[4]])
 
     w, x, y, z = start.attitude
     s = np.concatenate([start.position, [x, y, z, w], start.velocity, start.rate, scale * start.rotors])
     rows = []
-    for pieces in _arriving(commands, u, before, dt, voltage):
+    for push, pieces in zip(pushes, _arriving(commands, u, before, dt, voltage), strict=True):
         for seconds, nu in pieces:
             count = math.ceil(seconds / (2 * STEP))
             h = seconds / count
             for _ in range(count):
-                k1 = rate(s, scale * nu)
-                k2 = rate(s + h / 2 * k1, scale * nu)
-                k3 = rate(s + h / 2 * k2, scale * nu)
-                s = s + h / 6 * (k1 + 2 * (k2 + k3) + rate(s + h * k3, scale * nu))
+                k1 = rate(s, scale * nu, push)
+                k2 = rate(s + h / 2 * k1, scale * nu, push)
+                k3 = rate(s + h / 2 * k2, scale * nu, push)
+                s = s + h / 6 * (k1 + 2 * (k2 + k3) + rate(s + h * k3, scale * nu, push))
                 s[3:7] /= np.linalg.norm(s[3:7])
         rows.append(np.concatenate([s[:3], s[7:10], s[[6, 3, 4, 5]], s[10:13], s[13:] / scale]))
     return np.array(rows)
@@ -290,6 +323,7 @@ def fly_pybullet(
         rows = []
         count = math.ceil(dt / 0.0005)
         bullet.setTimeStep(dt / count, physicsClientId=client)
+        pushes = _fading(folder, start, len(u), dt)
         for k, sent in enumerate(u):
             volt = None if voltage is None else float(voltage[k])
             for _ in range(count):
@@ -305,6 +339,8 @@ def fly_pybullet(
                     push = [0, 0, thrust[i]]
                     bullet.applyExternalForce(body, i, push, [0, 0, 0], bullet.LINK_FRAME, physicsClientId=client)
                 yaw = axes[:, 2] * (-torque[0] + torque[1] - torque[2] + torque[3])
+                yaw = yaw + axes @ pushes[k, 3:]
+                drag = drag + axes @ pushes[k, :3]
                 bullet.applyExternalTorque(body, -1, yaw, bullet.WORLD_FRAME, physicsClientId=client)
                 bullet.applyExternalForce(body, -1, drag, place, bullet.WORLD_FRAME, physicsClientId=client)
                 if more is not None:
@@ -335,7 +371,7 @@ def fly_jsbsim(
         import jsbsim
     except ImportError as missing:
         raise MissingSimulator("jsbsim") from missing
-    if rest:
+    if rest or start.push is not None:
         raise ValueError("JSBSim takes no further wrench here")
     (commands,) = load(folder, "commands")
     (path,) = (folder / "aircraft").glob("*/*.xml")
