@@ -27,7 +27,8 @@ def add(subparsers: Any) -> None:
     p.add_argument("--mapping", metavar="MAP.toml", help="which fields of the logs are which channels (docs/logs.md)")
     p.add_argument("--inputs", required=True, metavar="u1,u2", help="input channels, comma separated")
     p.add_argument("--outputs", required=True, metavar="p,q,r", help="output channels, comma separated")
-    p.add_argument("--order", default="auto", metavar="N|auto", help="number of states (default: auto)")
+    p.add_argument("--order", default="auto", metavar="N|auto",
+                   help="most states; those that the data do not carry are left out (default: auto)")  # fmt: skip
     p.add_argument("--max-order", type=int, default=10, metavar="N", help="largest order that auto tries")
     p.add_argument("--criterion", choices=("aic", "aicc", "bic"), default="bic", help="how auto judges orders")
     p.add_argument("--siso", action="store_true", help="one model per output, input i drives output i")

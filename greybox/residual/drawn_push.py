@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush
+from greybox.model.layer import LearnedPush, own_window
 from greybox.model.parameter import Parameter
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
@@ -52,6 +52,11 @@ class DrawnPush(LearnedPush):
     def learned_rows(self) -> tuple[int, ...]:
         """As the hybrid model."""
         return self.hybrid.learned_rows
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """As the hybrid model."""
+        return self.hybrid.window
 
     def learned_variance(self, x: Expr, window: Expr) -> Expr:
         """None: a draw is one function."""
@@ -109,14 +114,14 @@ class DrawnPush(LearnedPush):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample with the drawn push held over it."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.step(t, x, window, own, pushed, dt)
+        return self.base.step(t, x, own_window(self.base, window), own, pushed, dt)
 
     def output(
         self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr, lasting: Expr = None
     ) -> Expr:  # fmt: skip
         """Outputs see the drawn push as they see the process noise of its channel."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.output(t, x, window, own, pushed, dt, *given(lasting))
+        return self.base.output(t, x, own_window(self.base, window), own, pushed, dt, *given(lasting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -26,7 +26,7 @@ from greybox.progress import TimeLeft
 from mpc_export.mission import TRAINING_SEEDS
 from mpc_export.mission.summary import exact
 from mpc_export.predictors import predictor_model
-from mpc_export.rates.controller import RateController, RateProblem
+from mpc_export.rates.controller import FORM, RateController, RateProblem
 from mpc_export.rates.craft import FLIGHTS, OUTPUTS, PLANT, Task, vehicle
 from mpc_export.rates.flight import Pilot, fly, outer_loops
 from mpc_export.rates.identify import identify, vehicle_card
@@ -70,7 +70,7 @@ class Rates:
             n: Pilot(outer=outer_loops(card, self.task), inner=planners.get(PLAIN.get(n, n))) for n in TEXTS
         }
         models = [file_sha256(self.out / "models" / f) for f in ("hybrid.json", "vehicle.toml")]
-        self._key = checksum([repr(self.task), repr(problem), PLANT, *models])
+        self._key = checksum([repr(self.task), repr(problem), FORM, PLANT, *models])
 
     def key(self, name: str) -> str:
         """What a row must have been flown with to count."""

@@ -29,6 +29,8 @@ from mpc_export.tube.native import native
 TIGHTEST = 0.3
 """No limit is tightened below this share of itself: the plan's end is not where the craft will be."""
 GIVEN = ("phi[t-1]", "theta[t-1]")
+FORM = "one slack per rate and stage"
+"""Of the programme: flights that were flown with another form do not count with those of this one."""
 
 
 @dataclass(frozen=True, kw_only=True)

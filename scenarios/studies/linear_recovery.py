@@ -41,7 +41,7 @@ def one_run(seed: int, n: int, size: int, closed: bool, *, count: int = 3000, or
     u, y = simulate(rng, truth, count, feedback=feedback)
     record = Record(u=u, y=y)
     started = time.perf_counter()
-    fit = fit_linear([record], n)
+    fit = fit_linear([record], n, options=Options(exact_order=True))
     row: dict[str, Any] = {
         "seed": seed,
         "n": n,

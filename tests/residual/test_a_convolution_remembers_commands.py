@@ -18,6 +18,7 @@ from greybox.data import Dataset, dataset_from_arrays
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.filtering import Filter
 from greybox.model.identified import IdentifiedModel
+from greybox.residual.drawn_push import DrawnPush
 from greybox.residual.feature_posterior import silent_features
 from greybox.residual.features import feature_layout, lag_of, reach, with_lags
 from greybox.residual.files import load_model, save_model
@@ -149,6 +150,10 @@ def test_its_file_and_its_export_are_the_same_model(tmp_path: Path) -> None:
     rate = functions["f"](own, u[0], functions.parameter_values).full().ravel()
     assert np.allclose(rate, dynamics.f(0, ca.DM(own), ca.DM(u[0]), p).full().ravel(), rtol=1e-10)
     assert np.allclose(z.full().ravel()[1:], u[0])
+    twin = DrawnPush(hybrid=dynamics)
+    past, whole = ca.DM(u[: LAGS + 1][None]), [d.nominal for d in twin.parameters]
+    steps = [d.step(0, ca.DM(own), past, q, np.zeros(len(dynamics.noises)), DT) for d, q in ((dynamics, p), (twin, whole))]
+    assert np.allclose(*(ca.DM(v).full() for v in steps), rtol=1e-10)
     with pytest.raises(ModelError, match="earlier commands, sample by sample"):
         model_functions(model, dt=2 * DT)
 
