@@ -29,6 +29,7 @@ def add(subparsers: Any) -> None:
     p.add_argument("--outputs", required=True, metavar="p,q,r", help="output channels, comma separated")
     p.add_argument("--order", default="auto", metavar="N|auto",
                    help="most states; those that the data do not carry are left out (default: auto)")  # fmt: skip
+    p.add_argument("--exact-order", action="store_true", help="keep all N states, also those that hardly pay")
     p.add_argument("--max-order", type=int, default=10, metavar="N", help="largest order that auto tries")
     p.add_argument("--criterion", choices=("aic", "aicc", "bic"), default="bic", help="how auto judges orders")
     p.add_argument("--siso", action="store_true", help="one model per output, input i drives output i")
@@ -73,6 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
     given_horizons(arguments)  # what is wrong with them is said before logs are read
     order = arguments.order if arguments.order == "auto" else _whole_numbers(arguments.order, "--order", 1)[0]
+    if arguments.exact_order and order == "auto":
+        raise DataError("--exact-order keeps the states of an order that is given", fix="--order 6 --exact-order")
     delays = _delays(arguments.delay, len(inputs))
     if arguments.max_order < 1:
         raise DataError(f"--max-order {arguments.max_order}", expected="at least 1")
@@ -169,6 +172,7 @@ def _fit(
         noise_model=not arguments.output_error,
         feedthrough=arguments.feedthrough,
         methods=methods,
+        exact_order=arguments.exact_order,
         settings=Settings(stable=arguments.stable or arguments.output_error),
     )
     name = "linear" if len(rows) == len(outputs) and not arguments.siso else f"linear-{outputs[rows[0]].name}"
@@ -250,7 +254,7 @@ def _shown(arguments: argparse.Namespace) -> list[str]:
         value = getattr(arguments, key)
         if value is not None:
             out += [f"--{key.replace('_', '-')}", str(value)]
-    for key in ("siso", "feedthrough", "output_error", "stable", "open_loop", "profile"):
+    for key in ("exact_order", "siso", "feedthrough", "output_error", "stable", "open_loop", "profile"):
         if getattr(arguments, key):
             out.append(f"--{key.replace('_', '-')}")
     return out

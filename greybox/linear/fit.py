@@ -214,7 +214,10 @@ def fit_linear(
     fit = _assemble(found, scaled, scaling, options, choice, setup.dt, layout_u, layout_y, late, setup.name)
     if isinstance(order, str) or fit.order == order:
         return fit
-    spare = f"the data carry {fit.order} of {order} states: more gain no more than chance would give them, and were left out"
+    spare = (
+        f"{fit.order} of {order} states: the others gain less than the price of a state in marginal likelihood, and were "
+        "left out; --exact-order (exact_order=True) keeps them"
+    )
     return replace(fit, warnings=(spare, *fit.warnings))
 
 

@@ -44,6 +44,7 @@ BAD: dict[str, tuple[Spoil | None, tuple[str, ...], str]] = {
     "output of NaN": (changed(3, lambda t: np.nan), CHANNELS, "'speed' holds no value"),
     "input of NaN": (changed(1, lambda t: np.nan), CHANNELS, "'volt' holds no value"),
     "infinite value": (changed(3, lambda t: np.inf), CHANNELS, "speed"),
+    "exact order of none": (lambda t: t, (*CHANNELS, "--exact-order"), "--order 6"),
     "too short": (lambda t: t[:14], (*CHANNELS, "--order", "5"), "short|few"),
     "too short for auto": (lambda t: t[:8], CHANNELS, "short|few"),
     "unknown column": (None, ("--inputs", "vlot", "--outputs", "speed"), "volt"),
