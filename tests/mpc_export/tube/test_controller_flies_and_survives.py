@@ -23,7 +23,7 @@ class Hover:
 
 
 @functools.cache
-def pilot():
+def pilot(calibrate: bool = False):
     """One for all tests of a process: building it takes longer than flying it. Each begins with `start`."""
     return TubeController(
         model=cases.disturbed(),
@@ -31,7 +31,7 @@ def pilot():
         reference=Hover(),
         kappa=(2.0, 2.0, 2.0),
         kappa_u=1.0,
-        calibrate=True,
+        calibrate=calibrate,
     )
 
 

@@ -10,7 +10,7 @@ from tests.mpc_export.tube.test_controller_flies_and_survives import fly, pilot
 
 @pytest.fixture
 def controller():
-    return pilot()
+    return pilot(calibrate=True)
 
 
 def test_planes_and_tilt_are_tightened_by_the_scales_of_what_they_bound(controller):
