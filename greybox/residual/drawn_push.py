@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush
+from greybox.model.layer import LearnedPush, own_window
 from greybox.model.parameter import Parameter
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
@@ -47,6 +47,11 @@ class DrawnPush(LearnedPush):
     def on(self, base: Dynamics) -> DrawnPush:
         """The same push on another model."""
         return DrawnPush(hybrid=self.hybrid.on(base))
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """As the hybrid model."""
+        return self.hybrid.window
 
     @property
     def learned_rows(self) -> tuple[int, ...]:
@@ -109,14 +114,14 @@ class DrawnPush(LearnedPush):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample with the drawn push held over it."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.step(t, x, window, own, pushed, dt)
+        return self.base.step(t, x, own_window(self.base, window), own, pushed, dt)
 
     def output(
         self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr, lasting: Expr = None
     ) -> Expr:  # fmt: skip
         """Outputs see the drawn push as they see the process noise of its channel."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.output(t, x, window, own, pushed, dt, *given(lasting))
+        return self.base.output(t, x, own_window(self.base, window), own, pushed, dt, *given(lasting))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
