@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from greybox.errors import UnknownNameError
+from greybox.errors import ModelError, UnknownNameError
 from greybox.frames import euler_zyx, rotation_matrix
 from greybox.model.dynamics import Dynamics
 from greybox.model.noise import noise_states
@@ -100,13 +100,17 @@ def feature_layout(dynamics: Dynamics, names: Sequence[str]) -> Layout:
 
 def features(dynamics: Dynamics, names: Sequence[str], x: Expr, window: Expr) -> Expr:
     """The features `names` (m,) at state x (n_x) and command window (n_u x (past + 1 + future)), whose past may be longer
-    than that of the model. Raises `UnknownNameError`."""
+    than that of the model. Raises `UnknownNameError`, `ModelError` where a feature looks further back than that."""
     feature_layout(dynamics, names)
     blocks = _blocks(dynamics)
     table: dict[str, Expr] = {n: x[i] for i, n in enumerate(dynamics.states.names)}
     now, place = window.shape[1] - 1 - dynamics.window[1], {n: i for i, n in enumerate(dynamics.inputs.names)}
     table |= {n: window[i, now] for n, i in place.items()}
     lagged = {n: lag_of(n) for n in names if n not in table and lag_of(n)[0] in place}
+    if (far := reach(tuple(lagged))) > now:
+        raise ModelError(
+            "features look further back than the command window", expected=f"{far} earlier samples", got=f"{now}"
+        )
     table |= {n: window[place[of], now - lag] for n, (of, lag) in lagged.items()}
     if "attitude" in blocks:
         rotation = rotation_matrix(x[blocks["attitude"]])

@@ -182,8 +182,8 @@ def learn(
     say("disturbance states", 0.0)
     base = replace(disturbed_model(model, train), verdict=None)  # what is learned changes what was judged
     names = {"the given features": tuple(features)} if features is not None else feature_sets(base, place=place)
-    if isinstance(other, LooksBack) and other.lags:
-        names = {label: with_lags(base.dynamics, own, other.lags) for label, own in names.items()}
+    if isinstance(other, LooksBack) and (lags := other.lags(base.sample_time)):
+        names = {label: with_lags(base.dynamics, own, lags) for label, own in names.items()}
     every = tuple(dict.fromkeys(n for own in names.values() for n in own))
     # Who looks back sees more commands than the physics does.
     seeing = replace(base, dynamics=LongerWindow(inner=base.dynamics, past=reach(every))) if reach(every) else base

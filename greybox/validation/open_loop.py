@@ -90,7 +90,7 @@ def _velocity_reading(model: IdentifiedModel) -> tuple[Callable[[FloatArray], An
     seeing = with_physics(model.dynamics, lambda own: replace(own, sensors=(*own.sensors, sensor)))
     x, p = ca.SX.sym("x", len(model.dynamics.states)), ca.SX.sym("p", len(model.dynamics.parameters))
     u = ca.SX.sym("u", len(physics.inputs))
-    window = ca.repmat(u, 1, sum(physics.window) + 1)
+    window = ca.repmat(u, 1, sum(seeing.window) + 1)
     quiet = ca.DM.zeros(len(seeing.noises))
     y = seeing.output(0, x, window, p, quiet, model.sample_time)
     v = y[[seeing.outputs[c] for c in GROUPS["velocity"].columns]]

@@ -24,12 +24,13 @@ from greybox.residual.features import feature_layout, lag_of, reach, with_lags
 from greybox.residual.files import load_model, save_model
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.learn import Learned, learn
-from greybox.residual.learners.temporal_convolution import CHANNELS, LAGS, Network
+from greybox.residual.learners.temporal_convolution import CHANNELS, MOST_LAGS, Network, TemporalConvolution
 from greybox.residual.posterior import Domain
 from greybox.symbolic import FloatArray, Layout
 from mpc_export.functions import model_functions
 from tests.residual.hybrid_cases import DT, pendulum, pendulum_model
 
+LAGS = TemporalConvolution().lags(DT)
 NAMES = ("p", "u1", "u2", *(f"u{i}[t-{k}]" for k in range(1, LAGS + 1) for i in (1, 2)))
 LATE = 4
 """Samples after which a command still pushes."""
@@ -91,6 +92,13 @@ def test_its_features_are_those_of_pytorchs_convolutions() -> None:
     phi = ca.Function("phi", [s], [net.features(v)(s)])
     for row, expected in zip(rows, hidden, strict=True):
         assert np.allclose(phi(row).full().ravel()[:5], expected, rtol=1e-12, atol=1e-14)
+
+
+def test_it_looks_back_for_a_time_not_for_a_number_of_samples() -> None:
+    """140 ms: of motors and wakes, whatever the log's rate; from 222 Hz on the number of samples is bounded."""
+    lags = TemporalConvolution().lags
+    assert [lags(1 / rate) for rate in (50, 100, 200)] == [7, 14, 28]
+    assert lags(1e-3) == MOST_LAGS and lags(1.0) == 1
 
 
 def test_its_gradient_is_that_of_differences() -> None:

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from greybox.model.dynamics import Dynamics
 from greybox.model.identified import IdentifiedModel
 from greybox.residual.drawn_push import DrawnPush
 from greybox.residual.feature_posterior import silent_features
@@ -18,7 +19,7 @@ from greybox.residual.hybrid import HybridModel
 from greybox.simulators.draws import draw
 from greybox.simulators.make import twin
 from scenarios.twins.written import load
-from tests.residual.hybrid_cases import CHANNELS, FEATURES, craft, craft_model, hybrid, pendulum_model, push
+from tests.residual.hybrid_cases import CHANNELS, FEATURES, craft, craft_model, hybrid, pendulum, pendulum_model, push
 
 PLACES = np.array([[0.0, 0.0, 0.0, 0.0], [0.5, -0.3, 0.2, 0.1], [1.0, 1.0, -1.0, 0.5], [6.0, -5.0, 4.0, 5.0]])
 
@@ -96,9 +97,39 @@ def test_draws_of_features_have_the_covariance_of_their_weights() -> None:
     assert np.abs((found.mean(axis=0) - mean) / np.sqrt(variance)).max() < 0.1
 
 
-def bodied() -> IdentifiedModel:
+def looking_back(inner: Dynamics, channel: str, beyond: int) -> HybridModel:
+    """A push by the first input, now and so many samples before all that the physics looks at."""
+    u = inner.inputs.names[0]
+    post = push(inner, (u, f"{u}[t-{inner.window[0] + beyond}]"), (channel,))
+    # hover in the middle of the support: the push changes with the command
+    return HybridModel(inner=inner, posterior=replace(post, input_mean=np.full(2, 0.6), input_scale=np.full(2, 0.1)))
+
+
+@pytest.mark.parametrize(("inner", "channel"), [(pendulum(), "rate"), (craft(), "force.x")], ids=["no window", "delay"])
+def test_draws_look_back_as_far_as_the_hybrid(inner: Dynamics, channel: str) -> None:
+    """At its nominal weights a draw is the hybrid, and its oldest command pushes."""
+    model = looking_back(inner, channel, 3)
+    push = DrawnPush(hybrid=model)
+    assert push.window == model.window == (inner.window[0] + 3, inner.window[1])
+    rng = np.random.default_rng(4)
+    window = rng.uniform(0.5, 0.7, (len(inner.inputs), sum(model.window) + 1))
+    x, w = rng.uniform(0.1, 0.5, len(inner.states)), np.zeros(len(inner.noises))
+
+    def after(dynamics: Dynamics, commands: np.ndarray) -> list[np.ndarray]:
+        p = ca.DM([q.nominal for q in dynamics.parameters])
+        given = (0.0, ca.DM(x), ca.DM(commands), p, ca.DM(w), 0.01)
+        return [np.array(ca.DM(value)) for value in (dynamics.step(*given), dynamics.output(*given))]
+
+    for mine, its in zip(after(push, window), after(model, window), strict=True):
+        np.testing.assert_allclose(mine, its, rtol=1e-12, atol=1e-13)
+    other = window.copy()
+    other[0, 0] += 0.1
+    assert np.abs(after(push, other)[0] - after(push, window)[0]).max() > 1e-6
+
+
+def bodied(dynamics: HybridModel | None = None) -> IdentifiedModel:
     """The craft with a random push and the inertia of a body."""
-    model = craft_model(hybrid())
+    model = craft_model(dynamics or hybrid())
     return replace(model, values=model.values.replace({"inertia.zz": 2.8e-5}))
 
 
@@ -128,6 +159,22 @@ def test_simulate_flies_every_draw_with_its_own_push(tmp_path: Path) -> None:
     sigma = np.sqrt(model.dynamics.posterior.evaluate(z[None])[1])[0, CHANNELS.index("torque.x")]
     expected = sigma / p[[q.name for q in d.parameters].index("inertia.xx")] * model.sample_time
     assert apart == pytest.approx(expected, rel=0.4)
+
+
+def test_simulate_remembers_the_commands_that_the_push_looks_at(tmp_path: Path) -> None:
+    model = bodied(looking_back(craft(), "force.x", 1))
+    twin(model, ["numpy"], out=tmp_path)
+    (module,) = load(tmp_path / "numpy", "simulate")
+    d = model.dynamics
+    assert d.window == (module.PAST, module.FUTURE)
+    rng, sim = np.random.default_rng(5), module.Simulator()
+    window, x = np.tile(module.HOVER, (module.PAST + 1, 1)), module.START
+    p, w = ca.DM(model.parameter_vector()), ca.DM.zeros(len(d.noises))
+    for _ in range(module.PAST + 3):
+        u = module.HOVER + np.append(rng.uniform(-0.1, 0.1, 4), 0.0)[: len(module.INPUTS)]
+        window = np.vstack([window[1:], u])
+        x = np.array(ca.DM(d.step(0.0, ca.DM(x), ca.DM(window.T), p, w, model.sample_time))).ravel()
+        np.testing.assert_allclose(sim.step(u), x, rtol=1e-10, atol=1e-12)
 
 
 def test_the_summary_says_how_far_learned_pushes_lie_apart() -> None:

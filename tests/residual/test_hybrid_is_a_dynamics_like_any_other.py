@@ -11,8 +11,10 @@ import pytest
 from greybox.errors import ModelError, UnknownNameError
 from greybox.estimation.build import compiler
 from greybox.estimation.engine import engine_for
+from greybox.residual.features import features
 from greybox.residual.hybrid import HybridModel
 from greybox.symbolic import Layout, Signal
+from greybox.validation.open_loop import GroupReader
 from tests.residual.hybrid_cases import CHANNELS, FEATURES, SIZES, craft, craft_model, hybrid, pendulum, push
 
 DT = 0.01
@@ -161,3 +163,22 @@ def test_an_identified_hybrid_keeps_its_physics():
     assert model.physics is craft()
     assert model.effects == craft_model(craft()).effects
     assert "GP(force.x" in model.name
+
+
+def test_a_feature_beyond_the_command_window_is_refused():
+    """A negative place would count from the end: a later command under the name of an earlier one."""
+    dynamics, x, window = pendulum(), ca.SX.sym("x", 2), ca.SX.sym("U", 1, 3)
+    assert str(features(dynamics, ("u[t-2]",), x, window)) == "U_0"
+    with pytest.raises(ModelError, match="further back than the command window; expected 3 earlier samples; got 2"):
+        features(dynamics, ("u[t-3]",), x, window)
+
+
+def test_its_velocity_is_read_however_far_it_looks_back():
+    """`validate` reads the velocity from the state where only the position is measured."""
+    names = ("p", f"u1[t-{3 * craft().window[0] + 5}]")
+    model = craft_model(HybridModel(inner=craft(), posterior=push(craft(), names)))
+    reader, d = GroupReader(model), model.dynamics
+    states = np.array([model.reference_state])
+    states[0, 3:6] = 0.4, -0.2, 0.1
+    values = reader.values(np.zeros((1, len(d.outputs))), states, model.parameter_vector(), model.reference_inputs[None])
+    np.testing.assert_allclose(values["velocity"][0], [0.4, -0.2, 0.1], atol=1e-9)

@@ -45,10 +45,9 @@ class Inside:
         """That of the learner."""
         return self.learner.name
 
-    @property
-    def lags(self) -> int:
+    def lags(self, sample_time: float) -> int:
         """As the learner asks for them."""
-        return self.learner.lags if isinstance(self.learner, LooksBack) else 0
+        return self.learner.lags(sample_time) if isinstance(self.learner, LooksBack) else 0
 
     @property
     def centred(self) -> bool:

@@ -37,9 +37,9 @@ class Learner(Protocol):
 class LooksBack(Learner, Protocol):
     """A learner that looks at earlier commands too; it is told what its inputs are called."""
 
-    @property
-    def lags(self) -> int:
-        """Earlier samples of every command that it asks for on physics; on linear models the inputs are the user's."""
+    def lags(self, sample_time: float) -> int:
+        """Earlier samples, sample_time [s] apart, of every command that it asks for on physics; on linear models the inputs
+        are the user's."""
 
     def of(self, names: Sequence[str]) -> Learner:
         """The same for inputs of these names (n_in); u1[t-3] is that of three samples ago."""

@@ -1,7 +1,7 @@
 """A temporal convolution over earlier commands with a Bayesian last layer: a learner that remembers.
 
 A push may come late: a wake that trails, a motor that yields, air that still moves. Causal dilated convolutions of width
-two look at the commands of this sample and of `LAGS` before it (Bai, Kolter and Koltun 2018, arXiv:1803.01271), layer by
+two look at the commands of this sample and of `MEMORY` before it (Bai, Kolter and Koltun 2018, arXiv:1803.01271), layer by
 layer and with what they started from added:
 
     h_1[t] = tanh(V_1 u[t] + W_1 u[t-1] + b_1),   h_l[t] = h_{l-1}[t] + tanh(V_l h_{l-1}[t] + W_l h_{l-1}[t-2^(l-1)] + b_l)
@@ -26,8 +26,11 @@ from greybox.residual.learners.learner import Features
 from greybox.residual.learners.neural import DECAY, ITERATIONS, ROWS, STARTS
 from greybox.symbolic import Expr, FloatArray
 
-LAGS, CHANNELS, MOST_UNITS = 7, 8, 16
-"""Earlier samples that are looked at on physics, channels of every convolution, most units of the hidden layer."""
+MEMORY, MOST_LAGS = 0.14, 31
+"""How far back [s] commands are looked at on physics: after it a lag of 70 ms has settled to a seventh, and a wake of 4 m/s
+is half a metre away. Most earlier samples: with this one 32, five convolutions; each is a state per input in an export."""
+CHANNELS, MOST_UNITS = 8, 16
+"""Channels of every convolution, most units of the hidden layer."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,10 @@ class TemporalConvolution:
     names: tuple[str, ...] = ()
 
     name: ClassVar[str] = "tcn"
-    lags: ClassVar[int] = LAGS
+
+    def lags(self, sample_time: float) -> int:
+        """The samples in `MEMORY`, at least one and at most `MOST_LAGS`."""
+        return min(max(round(MEMORY / sample_time), 1), MOST_LAGS)
 
     def of(self, names: Sequence[str]) -> TemporalConvolution:
         """The same for inputs of these names."""
