@@ -49,11 +49,6 @@ class DrawnPush(LearnedPush):
         return DrawnPush(hybrid=self.hybrid.on(base))
 
     @property
-    def window(self) -> tuple[int, int]:
-        """As the hybrid model."""
-        return self.hybrid.window
-
-    @property
     def learned_rows(self) -> tuple[int, ...]:
         """As the hybrid model."""
         return self.hybrid.learned_rows
