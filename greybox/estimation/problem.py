@@ -27,6 +27,7 @@ from greybox.estimation.feasible import Body, bodies_of, moved_inside, wall
 from greybox.estimation.options import FitChoices, FitOptions
 from greybox.estimation.predictor import Block, Predictor
 from greybox.estimation.record import Record, channel_means, make_records, sample_time
+from greybox.estimation.settling import start_sigma
 from greybox.estimation.solver import IndexArray, Value
 from greybox.estimation.unknown import Unknown
 from greybox.model.dynamics import Dynamics
@@ -173,6 +174,12 @@ class Problem:
         return np.array(
             [self.index[(names[i], tag)] for i in self.initial_rows(record_index)], dtype=np.intp
         )
+
+    def start_sigma(self, record_index: int) -> FloatArray:
+        """Standard deviations (n_d,) of the errors of a record's start before it was flown, at the
+        start values of parameters and noise levels."""
+        record = self.records[record_index]
+        return start_sigma(self.dynamics, record, self.base, self.process_level)
 
     def initial_error(self, theta: FloatArray, record_index: int) -> FloatArray:
         """Initial error state (n_d,) of a record, zero where it is no unknown."""
@@ -331,9 +338,10 @@ def make_problem(
             if n in own
         ]
     starts = o.estimate_initial and predictor.has_initial
+    base = np.array([values[d.name] for d in dynamics.parameters])
     every = [np.ones(engine.nd, dtype=bool)] * len(records)
     initial = (
-        _initial_unknowns(dynamics, records, every)
+        _initial_unknowns(dynamics, records, every, base, process)
         if starts and not predictor.carries_starts
         else []
     )
@@ -344,7 +352,7 @@ def make_problem(
         criterion=criterion,
         records=records,
         unknowns=(*unknowns, *initial),
-        base=np.array([values[d.name] for d in dynamics.parameters]),
+        base=base,
         dt=dt,
         means=channel_means(dataset),
         flights=flights,
@@ -355,7 +363,7 @@ def make_problem(
     if not starts or not predictor.carries_starts:
         return problem
     told = predictor.told(problem)
-    initial = _initial_unknowns(dynamics, records, [~t for t in told])
+    initial = _initial_unknowns(dynamics, records, [~t for t in told], base, process)
     spreads = tuple(np.where(t, r.spread, 0.0) for t, r in zip(told, records, strict=True))
     return replace(
         problem, unknowns=(*unknowns, *initial), estimate_initial=bool(initial), spreads=spreads
@@ -363,28 +371,37 @@ def make_problem(
 
 
 def _initial_unknowns(
-    dynamics: Dynamics, records: Sequence[Record], chosen: Sequence[BoolArray]
+    dynamics: Dynamics,
+    records: Sequence[Record],
+    chosen: Sequence[BoolArray],
+    base: FloatArray,
+    process: FloatArray,
 ) -> list[Unknown]:
-    """The initial errors `chosen` (n_d,) of every record as unknowns, with their spread as
-    prior."""
+    """The initial errors `chosen` (n_d,) of every record as unknowns, with their spread at the
+    parameters `base` and noise levels `process` as prior."""
     d = dynamics.error_states
-    return [
-        Unknown(
-            name=n,
-            kind="initial",
-            flight=f"record {k}",
-            start=0.0,
-            lower=-np.inf,
-            upper=np.inf,
-            mean=0.0,
-            sigma=float(s),
-            scale=float(s),
-            unit=u,
-        )
-        for k, r in enumerate(records)
-        for n, u, s, c in zip(d.names, d.units, r.x0_sigma, chosen[k], strict=True)
-        if c
-    ]
+    unknowns = []
+    for k, (r, c) in enumerate(zip(records, chosen, strict=True)):
+        # The prior of lasting noise stays that of the start values while time constant and level
+        # move: predictors that estimate levels carry these starts.
+        known = not (r.lasting & c).any()
+        sigma = r.x0_sigma if known else start_sigma(dynamics, r, base, process)
+        unknowns += [
+            Unknown(
+                name=d.names[i],
+                kind="initial",
+                flight=f"record {k}",
+                start=0.0,
+                lower=-np.inf,
+                upper=np.inf,
+                mean=0.0,
+                sigma=float(sigma[i]),
+                scale=float(sigma[i]),
+                unit=d.units[i],
+            )
+            for i in np.flatnonzero(c)
+        ]
+    return unknowns
 
 
 def _levels(

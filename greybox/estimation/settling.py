@@ -28,9 +28,17 @@ from greybox.errors import FitError
 from greybox.estimation.channel_pattern import Pattern
 from greybox.estimation.elements import Element, System
 from greybox.estimation.engine import GainTable, IntArray
-from greybox.estimation.gain import Riccati, SystemSamples, extended, smith, stationary
+from greybox.estimation.gain import (
+    Riccati,
+    SystemSamples,
+    extended,
+    linearisation_anywhere,
+    smith,
+    stationary,
+)
 from greybox.estimation.lost_commands import Pushes
 from greybox.estimation.record import Record
+from greybox.model.dynamics import Dynamics
 from greybox.symbolic import BoolArray, FloatArray
 
 FIRST = 8
@@ -369,6 +377,25 @@ def kept_up(
     the linear system (A, G, ...) under process noise of variances `q` (n_w,)."""
     a, g = values[0], values[1]
     return np.asarray(g[own] ** 2 @ q / (1 - a[own, own] ** 2))
+
+
+def start_variances(record: Record, values: Sequence[FloatArray], q: FloatArray) -> FloatArray:
+    """Variances (n_d,) of the errors of a record's start, see `kept_up`."""
+    square, own = record.x0_sigma**2, np.flatnonzero(record.lasting)
+    square[own] = kept_up(values, q, own)
+    return square
+
+
+def start_sigma(
+    dynamics: Dynamics, record: Record, p: FloatArray, process: FloatArray
+) -> FloatArray:
+    """Standard deviations (n_d,) of the errors of a record's start, where the parameters are `p`
+    (n_p,) and the levels of the process noise `process` (n_w,)."""
+    if not record.lasting.any():
+        return record.x0_sigma
+    window = record.inputs[: sum(dynamics.window) + 1].T
+    values = linearisation_anywhere(dynamics).values(record.x0, window, p, record.dt)
+    return np.sqrt(start_variances(record, values, process**2))
 
 
 @dataclass(kw_only=True, eq=False)

@@ -118,6 +118,6 @@ def adapt_to_flight(
 
 def _spread(problem: Problem, std: FloatArray) -> FloatArray:
     """Standard errors (n_d,) of the start, those before the flight where the fit has none."""
-    before = problem.records[0].x0_sigma.copy()
+    before = problem.start_sigma(0)
     found = std[problem.initial_columns(0)]
     return np.where(np.isfinite(found), np.minimum(found, before), before)

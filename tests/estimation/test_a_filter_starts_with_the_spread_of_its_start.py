@@ -166,6 +166,21 @@ def test_a_lasting_gust_starts_alike_in_every_filter_and_its_slopes_are_exact():
         assert gradient[j] == pytest.approx(numeric, rel=1e-6, abs=1e-5), own.unknowns[j].name
 
 
+@pytest.mark.parametrize("predictor", ["simulation", "multiple-shooting"])
+def test_a_gust_whose_start_is_an_unknown_is_as_large_as_one_that_a_filter_carries(predictor):
+    """Its prior is the stationary state at the start values of level and time constant, a sensor's and a speed's stay."""
+    for time in (gusty.TIME, gusty.TIME / 4):
+        own = make_problem(
+            gusty.model(), gusty.rides(2), predictor=predictor, noise=gusty.LEVELS, free=["b"],
+            values={"disturbance.v.T": time},
+        )  # fmt: skip
+        for k, record in enumerate(own.records):
+            sigma = [u.sigma for u in own.unknowns if u.flight == f"record {k}"]
+            assert sigma == own.start_sigma(k).tolist()
+            size = gusty.LEVELS["noise.process.disturbance.v"] / (1 - np.exp(-2 * gusty.DT / time)) ** 0.5
+            assert sigma == pytest.approx([*record.x0_sigma[:2], size])
+
+
 def test_rides_that_were_not_fitted_are_foretold_as_well_as_those_that_were():
     """No process noise: 40 starts of a ride each are not worse than those of the fit."""
     found = fit(cart(), rides(10), values={"m": 1.2, "b": 0.4})

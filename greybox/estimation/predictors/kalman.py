@@ -31,7 +31,7 @@ from greybox.estimation.engine import chart_jacobians, symbols
 from greybox.estimation.predictor import Predictor
 from greybox.estimation.problem import Block, Problem
 from greybox.estimation.record import Record
-from greybox.estimation.settling import kept_up
+from greybox.estimation.settling import start_variances
 from greybox.model.dynamics import Dynamics
 from greybox.symbolic import FloatArray
 
@@ -137,13 +137,9 @@ class Filter:
         """(L^-1 e, variances), both (n, n_e), for the noise variances q (n_w) and r (n_e). Raises `FitError`."""
         d = self.dynamics
         y = np.ascontiguousarray(np.where(np.isfinite(record.outputs), record.outputs, 0.0))
-        x, square = np.array(record.x0, dtype=np.float64), record.x0_sigma**2
-        if record.lasting.any():
-            first = record.inputs[: sum(d.window) + 1].T
-            _, _, a, _, g, _ = (v.full() for v in self.lin(x, first, y[0], p, record.dt))
-            own = np.flatnonzero(record.lasting)
-            square[own] = kept_up((a, g), q, own)
-        spread = np.diag(square)
+        x, first = np.array(record.x0, dtype=np.float64), record.inputs[: sum(d.window) + 1].T
+        _, _, a, _, g, _ = (v.full() for v in self.lin(x, first, y[0], p, record.dt))
+        spread = np.diag(start_variances(record, (a, g), q))
         e, variance = np.zeros_like(record.mask), np.ones_like(record.mask)
         call = self._run_vm if self._library is None else self._run_c
         bad = call(

@@ -202,7 +202,7 @@ def _part(problem: Problem, difference: ca.Function, theta: FloatArray, i: int, 
         record=record, e=e, mask=record.mask, jacobian=jacobian, columns=columns, covariance=None,
         covariance_slope=None, pattern=record.pattern,
     )  # fmt: skip
-    return _Part(block=block, shift=shift, slope=slope, gaps=gaps / record.x0_sigma)
+    return _Part(block=block, shift=shift, slope=slope, gaps=gaps / problem.start_sigma(i))
 
 
 def _moved(problem: Problem, windows: _Windows, part: _Part, step: FloatArray) -> _Windows:
