@@ -28,7 +28,18 @@ def _has_code(page: Path) -> bool:
     return any(b.language not in ("text", "") for b in blocks(page.read_text()))
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if _has_code(p)], ids=name_of)
+LONG = ("docs/automatic.md", "docs/howto.md", "docs/own_model.md", "docs/plan.md")
+"""Pages that fit and plan for minutes: with the slow checks."""
+
+
+RUN = [
+    pytest.param(page, id=name_of(page), marks=[pytest.mark.slow] if name_of(page) in LONG else [])
+    for page in PAGES
+    if _has_code(page)
+]
+
+
+@pytest.mark.parametrize("page", RUN)
 def test_every_block_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_page(page, tmp_path) > 0

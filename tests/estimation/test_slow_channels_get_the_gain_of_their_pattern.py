@@ -121,6 +121,7 @@ def test_slopes_of_the_settled_covariances_are_central_differences():
         np.testing.assert_allclose(own.dP[0], (ahead.P - behind.P) / 2e-6, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_fit_finds_the_noise_and_the_truth_and_foretells_as_the_extended_kalman_filter_does():
     found = fitted()
     assert found.converged

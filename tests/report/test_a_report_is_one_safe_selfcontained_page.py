@@ -56,6 +56,7 @@ def test_it_is_light(page: str) -> None:
     assert len(page.encode()) < 3_000_000
 
 
+@pytest.mark.slow
 def test_many_long_flights_stay_light() -> None:
     flight = next(iter(make_flights(n=20_000).values()))
     many = {f"flight{i}": flight for i in range(9)}

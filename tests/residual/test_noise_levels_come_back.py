@@ -21,6 +21,7 @@ def test_levels_are_found_from_wherever_a_fit_left_them(data, start):
     assert found[1] < 0.02
 
 
+@pytest.mark.slow
 def test_levels_are_right_on_average():
     """One level scatters by 4 % (the likelihood of 1600 samples): five per cent are three errors of the mean of six."""
     found = [

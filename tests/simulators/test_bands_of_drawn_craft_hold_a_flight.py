@@ -78,6 +78,7 @@ def test_the_error_of_a_share_counts_flights_and_not_instants() -> None:
     assert share_error(even) == pytest.approx(np.std([1, 1, 1, 0], ddof=1) / 2.0)
 
 
+@pytest.mark.slow
 def test_pushes_counted_on_flights_hold_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Filter's levels five times too small, as where one step ahead says little of half a second; the plant has gusts."""
     monkeypatch.setattr(coverage_module, "SPACING", 0.5)

@@ -77,6 +77,7 @@ def test_the_statement_is_as_its_schema_says(folder: Path) -> None:
     jsonschema.validate(json.loads((folder / "twin.json").read_text()), schema)
 
 
+@pytest.mark.slow
 def test_the_table_of_effects_is_what_every_target_writes(tmp_path: Path) -> None:
     """Status and size of every cell are those of the target's own LOST.txt, and no row of it is left out."""
     values = {**AERODYNAMICS, "rotational_damping.d_p": 0.01, "thrust.c1": 0.5, "gyro_bias.b_x": 0.01}
