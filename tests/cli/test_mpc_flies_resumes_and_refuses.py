@@ -96,6 +96,7 @@ def test_a_second_run_keeps_the_old_flights_and_adds_the_new(models, flown, monk
     assert len(after.splitlines()) == len(before.splitlines()) + 4
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_against_another_plant_reports_what_was_flown(models, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(prepare, "TUNING", 2)
     monkeypatch.setattr(prepare, "REHEARSED", (0.5, 2.0))

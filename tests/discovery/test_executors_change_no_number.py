@@ -23,6 +23,7 @@ def alone() -> list[Fitted]:
     return contested(small_world.damped())
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_numbers(alone: list[Fitted]):
     with concurrent.futures.ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         flights = small_world.damped()

@@ -28,7 +28,7 @@ def _has_code(page: Path) -> bool:
     return any(b.language not in ("text", "") for b in blocks(page.read_text()))
 
 
-LONG = ("docs/automatic.md", "docs/howto.md", "docs/own_model.md", "docs/plan.md")
+LONG = ("docs/automatic.md", "docs/howto.md", "docs/own_model.md", "docs/plan.md", "docs/tutorial.md")
 """Pages that fit and plan for minutes: with the slow checks."""
 
 

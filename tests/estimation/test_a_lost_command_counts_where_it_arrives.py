@@ -217,6 +217,7 @@ def test_the_gradient_stays_exact(flight, effects):
         assert abs(slope - value.gradient[i]) < 1e-4 * max(abs(slope), 1.0 / u.scale), u.name
 
 
+@pytest.mark.slow
 def test_late_commands_are_charged_to_the_sample_that_they_reach(flight):
     """Charged to the row after the lost one, late commands made a lag of no length likelier than none."""
     vehicle, whole, holed, gone = flight

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from greybox.data import Dataset, Flight, Segment
 from greybox.estimation.criteria.gaussian import Gaussian
@@ -52,6 +53,7 @@ def test_the_gradient_is_exact_with_held_sensor_levels() -> None:
         assert abs(slope - value.gradient[i]) < 1e-4 * max(abs(slope), 1.0 / u.scale), u.name
 
 
+@pytest.mark.slow
 def test_a_fit_from_an_innovation_fit_keeps_its_noise_levels() -> None:
     result = fit(
         model(), flight(200), predictor="multi-step", initialisation="innovation", estimate_noise="process",

@@ -28,6 +28,7 @@ def rivals() -> dict[str, Fit]:
     return found
 
 
+@pytest.mark.slow
 def test_speed_separates_drags_and_hover_does_not():
     found = {(s.manoeuvre.name, s.amplitude): s.expected for s in separations(rivals(), library=SHORT, seconds=4.0)}
     assert found["hover", 0.0] < 0.1

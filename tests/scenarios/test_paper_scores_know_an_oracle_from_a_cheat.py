@@ -122,6 +122,7 @@ def test_results_are_kept_per_method_and_only_the_missing_is_computed(tmp_path):
         assert file["b|mean"].shape == (500, 6)
 
 
+@pytest.mark.slow
 def test_the_whole_study_runs_prints_and_draws(tmp_path, monkeypatch, capsys):
     """With quick stand-ins for the methods; what it prints is the table, the verdict, and the leaks apart."""
     monkeypatch.setattr(paper_experiment, "METHODS", {"GP": mean, "hybrid nonlinear": oracle})

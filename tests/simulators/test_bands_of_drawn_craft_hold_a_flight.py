@@ -121,6 +121,7 @@ def test_push_levels_follow_the_flights_and_not_the_seed() -> None:
         assert found[names.index("force.z")] == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_flight_without_velocity_counts_by_its_other_sensors(place: int) -> None:
     flights = list(simulated.flights(3, 7.0, first_seed=60))
@@ -152,6 +153,7 @@ def test_every_file_has_the_level_of_pushes_ahead() -> None:
     np.testing.assert_array_equal(coverage_module.module_of(calibrated, draws)["NOISE"], calibrated.noise_ahead)
 
 
+@pytest.mark.slow
 def test_pushes_that_are_counted_on_flights_of_no_fit_are_said() -> None:
     flights = simulated.flights(1, 7.0, first_seed=60)
     (name,) = flights.names

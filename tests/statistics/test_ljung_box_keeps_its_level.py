@@ -88,6 +88,7 @@ def test_white_noise_is_rejected_as_often_as_the_level_says(
     assert interval.low < LEVEL < interval.high, rejected / DRAWS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [white, gappy, short_records])
 def test_many_channels_are_called_coloured_no_more_often_than_one(
     make: Callable[[np.random.Generator], list[FloatArray]],
