@@ -121,7 +121,7 @@ class Layer(Shown, ABC):
 
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """State of the base one sample later."""
-        return self.base.step(t, x, window, p, w, dt)
+        return self.base.step(t, x, own_window(self.base, window), p, w, dt)
 
     def output(
         self,
@@ -134,7 +134,7 @@ class Layer(Shown, ABC):
         lasting: Expr = None,
     ) -> Expr:
         """Outputs of the base at the sample."""
-        return self.base.output(t, x, window, p, w, dt, *given(lasting))
+        return self.base.output(t, x, own_window(self.base, window), p, w, dt, *given(lasting))
 
     def innovation(self, y: Expr, y_hat: Expr, x: Expr) -> Expr:
         """Innovation of the base."""
@@ -187,23 +187,6 @@ class LongerWindow(Layer):
     def window(self) -> tuple[int, int]:
         """(past, future) commands of a sample."""
         return max(self.past, self.inner.window[0]), self.inner.window[1]
-
-    def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
-        """State of the inner model one sample later."""
-        return self.inner.step(t, x, own_window(self.inner, window), p, w, dt)
-
-    def output(
-        self,
-        t: Expr,
-        x: Expr,
-        window: Expr,
-        p: Expr,
-        w: Expr,
-        dt: Expr,
-        lasting: Expr = None,
-    ) -> Expr:
-        """Outputs of the inner model."""
-        return self.inner.output(t, x, own_window(self.inner, window), p, w, dt, *given(lasting))
 
 
 def own_window(dynamics: Dynamics, window: Expr) -> Expr:

@@ -18,13 +18,13 @@ import casadi as ca
 import numpy as np
 
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush, own_window
+from greybox.model.layer import LearnedPush
 from greybox.model.parameter import Parameter
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.hybrid import HybridModel
 from greybox.residual.kernels import Kernel
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Expr, FloatArray, given
+from greybox.symbolic import Expr, FloatArray
 
 WAVES = 96
 """Random waves of a prior function; each is a cosine and a sine, so that the variance is exact everywhere."""
@@ -114,14 +114,14 @@ class DrawnPush(LearnedPush):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample with the drawn push held over it."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.step(t, x, own_window(self.base, window), own, pushed, dt)
+        return super().step(t, x, window, own, pushed, dt)
 
     def output(
         self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr, lasting: Expr = None
     ) -> Expr:  # fmt: skip
         """Outputs see the drawn push as they see the process noise of its channel."""
         own, pushed = self._pushed(x, window, p, w)
-        return self.base.output(t, x, own_window(self.base, window), own, pushed, dt, *given(lasting))
+        return super().output(t, x, window, own, pushed, dt, lasting)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

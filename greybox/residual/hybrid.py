@@ -19,11 +19,11 @@ import casadi as ca
 
 from greybox.errors import ModelError, UnknownNameError
 from greybox.model.dynamics import Dynamics
-from greybox.model.layer import LearnedPush, own_window
+from greybox.model.layer import LearnedPush
 from greybox.residual.feature_posterior import FeaturePosterior
 from greybox.residual.features import features, reach
 from greybox.residual.posterior import GPPosterior
-from greybox.symbolic import Expr, given
+from greybox.symbolic import Expr
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -124,7 +124,7 @@ class HybridModel(LearnedPush):
     def step(self, t: Expr, x: Expr, window: Expr, p: Expr, w: Expr, dt: Expr) -> Expr:
         """One sample with the learned push held over it."""
         push = self._push(x, window, w)
-        return self.inner.step(t, x, own_window(self.inner, window), p, push, dt)
+        return super().step(t, x, window, p, push, dt)
 
     def output(
         self,
@@ -138,4 +138,4 @@ class HybridModel(LearnedPush):
     ) -> Expr:
         """Outputs see the learned push as they see the process noise of its channel."""
         push = self._push(x, window, w)
-        return self.inner.output(t, x, own_window(self.inner, window), p, push, dt, *given(lasting))
+        return super().output(t, x, window, p, push, dt, lasting)
